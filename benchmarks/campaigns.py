@@ -17,8 +17,12 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-from record import arguments_of, exit_status, head, judge_largest, judge_nees, judge_share, verdict
+from record import ROOT, arguments_of, exit_status, head, judge_largest, judge_nees, judge_share, verdict
+
+sys.path.insert(0, str(ROOT / "tests"))
+
+import numpy as np  # isort: skip
+from drawn_heads import HeadPlan, with_heads
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, ncx2
 
@@ -42,7 +46,6 @@ from boresight.simulator.campaign import (
     draw_strips,
     installation_by_tilt,
 )
-from boresight.simulator.head_attitudes import HeadPlan, with_heads
 
 CAMERAS = CameraPair(installation_by_tilt(np.radians(15.0)))  # the paper's
 R_CS0 = deviation_from_theta(np.array(MATRIX_28)).inv() * CAMERAS.R_cs

@@ -27,9 +27,11 @@ from pathlib import Path
 
 import record  # of this folder; sets the number of threads before NumPy is loaded
 
-sys.path.insert(0, str(record.ROOT / "tests" / "pipeline" / "faults"))
+sys.path.extend(str(record.ROOT / place) for place in ("tests", "tests/pipeline/faults"))
 
 import numpy as np  # isort: skip
+from drawn_campaigns import draw_other_camera
+from drawn_heads import HeadPlan, with_heads
 from fault_cases import Case, calibrated, case_of, imported, judged, true_rotation
 from fault_dumps import sound_dump
 from numpy.typing import NDArray
@@ -52,12 +54,10 @@ from boresight.simulator.campaign import (
     CameraPair,
     DistortionCurve,
     StripPlan,
-    draw_other_camera,
     draw_sky_strips,
     draw_strips,
     installation_by_tilt,
 )
-from boresight.simulator.head_attitudes import HeadPlan, with_heads
 from boresight.simulator.scenario import LineCameraSettings
 
 CAMERAS = CameraPair(installation_by_tilt(np.radians(15.0), np.radians(37.0)))

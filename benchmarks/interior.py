@@ -25,7 +25,7 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.features.interior.interior_estimate import InteriorEstimate, calibrate_interior
 from boresight.features.interior.interior_of_dumps import calibrate_remote_camera
 from boresight.features.interior.interior_parameters import InteriorModel, InteriorPriors
-from boresight.features.paper.geopositioning import MotionPrior, check_point_errors, smoothed_attitude
+from boresight.features.paper.geopositioning import check_point_errors, smoothed_attitude
 from boresight.features.paper.vector_experiments import MATRIX_28
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
@@ -102,8 +102,7 @@ def ground_rms(strips: list[StripSightings], looks: list[np.ndarray], R_cs: Rota
     """rms errors (2,) along and across at the check points, m."""
     parts = []
     for strip, look in zip(strips, looks):
-        R_si = smoothed_attitude(strip, MotionPrior())
-        parts.append(check_point_errors(strip, (R_cs * R_si).inv().apply(look)))
+        parts.append(check_point_errors(strip, (R_cs * smoothed_attitude(strip)).inv().apply(look)))
     rows = [np.concatenate([getattr(part, name) for part in parts]) for name in ("along_m", "across_m")]
     return np.sqrt(np.mean(np.square(rows), axis=1))
 

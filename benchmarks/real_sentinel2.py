@@ -19,6 +19,7 @@ import argparse
 import re
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -82,12 +83,18 @@ def places_e(grid: np.ndarray) -> np.ndarray:
     return ecef_from_geodetic(np.radians(grid[:, 4]), np.radians(grid[:, 3]), grid[:, 5], WGS84)
 
 
+def model_of(strip: Sentinel2, detector: int, orbit, interpolation: str):
+    """The operator's model of a detector with an interpolation of its attitudes."""
+    model = operator_pushbroom(strip, detector - 1, orbit)
+    return replace(model, attitude=replace(model.attitude, interpolation=interpolation))
+
+
 def against_grid(strip: Sentinel2, grid: np.ndarray, orbit, interpolation: str, limit_m: float) -> None:
     """Print how far our places of pixels are from the operator's."""
     off = []
     for detector in np.unique(grid[:, 0]).astype(int):
         rows = grid[grid[:, 0] == detector]
-        model = operator_pushbroom(strip, detector - 1, orbit, interpolation=interpolation)
+        model = model_of(strip, detector, orbit, interpolation)
         ours = [
             model.ground_points(detector - 1, [row[2]], [row[1] - 1.0], ConstantHeight(row[5]))[0]
             for row in rows
@@ -108,7 +115,7 @@ def looks(strip: Sentinel2, grid: np.ndarray, orbit, interpolation: str) -> tupl
     v_s, u_c, t_s = [], [], []
     for detector in np.unique(grid[:, 0]).astype(int):
         rows = grid[grid[:, 0] == detector]
-        model = operator_pushbroom(strip, detector - 1, orbit, interpolation=interpolation, refined=False)
+        model = model_of(replace(strip, refining=None), detector, orbit, interpolation)
         t = model.instants(rows[:, 1] - 1.0)
         u_i, _ = apparent_ground_directions(places_e(rows), t, orbit, orbit.earth, model.effects)
         v_s.append(model.attitude.R_si(t).apply(u_i))

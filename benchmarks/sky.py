@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from record import ROOT, exit_status, head, judge_largest, judge_nees, judge_share
 from scipy.spatial.transform import Rotation
 
-sys.path.insert(0, str(ROOT / "tests" / "pipeline" / "faults"))
+sys.path.extend(str(ROOT / place) for place in ("tests", "tests/pipeline/faults"))
 
 from fault_dumps import TRACKER, TrialHead, write_heads
 

@@ -199,7 +199,8 @@ def dump_from_arrays(
         if bits is not None:
             count_of(bits, key, 8, 16)
     _check_frame(orbit_frame)
-    if targets is None and points is None and not _has_sky(strips):
+    of_ground = isinstance(strips, pd.DataFrame) and not (strips.get("kind", pd.Series()) == "sky").any()
+    if targets is None and points is None and of_ground:
         raise wrong("targets, points", "neither of them", "targets, points or strips of kind sky")
     if (exposures is None) == (attitudes is None):
         raise wrong("exposures, attitudes", "neither or both of them", "one of them")
@@ -263,10 +264,6 @@ def _three(sigma: ArrayLike) -> list[float]:
     if values.shape not in ((), (3,)) or not ((values > 0.0) & (values <= np.pi)).all():
         raise wrong("sigma_R_cs0_rad", sigma, "a number or three, above 0 and at most pi, rad")
     return [float(value) for value in np.broadcast_to(values, 3)]
-
-
-def _has_sky(strips: Table) -> bool:
-    return not isinstance(strips, pd.DataFrame) or bool((strips.get("kind", pd.Series()) == "sky").any())
 
 
 def _write_strips(folder: Path, rows: Sequence[Mapping[str, Any]], stated: int | None, told: Progress) -> int:

@@ -47,11 +47,8 @@ class NotMatched:
 
 
 @record(kw_only=True)
-class Match(TemplateMatch, SuccessfulResult):
+class Match(SuccessfulResult, TemplateMatch):
     """A template found in a picture. Points are (column, row); (0, 0) is the centre of the first pixel."""
-
-    def __repr__(self) -> str:
-        return self.summary()
 
     def summary(self) -> str:
         (x, y), (sx, sy) = self.xy_px, np.sqrt(np.diag(self.cov_px))

@@ -113,9 +113,6 @@ class Calibration(Result):
         "of a run in memory", default=None, repr=False
     )
 
-    def __repr__(self) -> str:
-        return self.summary()
-
     def __fspath__(self) -> str:
         """The result folder."""
         if self._scratch is None and self.folder is None:
@@ -404,9 +401,6 @@ class Validation(Result):
     without: ClassVar[inner[int]] = inner(
         "errors.without", "check points without attitude or ground, for which no error can be given"
     )
-
-    def __repr__(self) -> str:
-        return self.summary()
 
     def summary(self) -> str:
         """Errors per axis and on the ground, before and after."""

@@ -182,7 +182,7 @@ def _about(strips: Sequence[StripSightings], start: _Start) -> InstallationEstim
     if len(step.solution.unobservable):
         return _not_observable(step.solution, theta_of(R_cs, R_cs0), rejected, problem)
     carrying = [strip for strip in prepared if strip.inside.any()]
-    exposures = [(strip.attitudes, strip.used) for strip in carrying]
+    exposures = [strip.attitudes for strip in carrying]
     n_kept, n_theta = int(np.sum(step.weight > 0.0)), len(step.solution.theta)
     last, covariance = np.abs(step.solution.theta), step.solution.covariance_all
     known = 0 if problem.prior is None else int(np.linalg.matrix_rank(problem.prior.F[0]))
@@ -195,11 +195,11 @@ def _about(strips: Sequence[StripSightings], start: _Start) -> InstallationEstim
         cov_theta=step.solution.covariance,
         chi2=step.chi2,
         dof=2 * (n_kept - len(residuals.doubtful)) - n_theta + known,
-        chi2_stars=float(sum(attitudes.chi2[used].sum() for attitudes, used in exposures)),
-        dof_stars=int(sum(attitudes.dof[used].sum() for attitudes, used in exposures)),
+        chi2_stars=float(sum(one.chi2[one.usable].sum() for one in exposures)),
+        dof_stars=int(sum(one.dof[one.usable].sum() for one in exposures)),
         n_strips=len({name for strip in carrying for name in strip.strip[strip.inside].tolist()}),
-        n_exposures=int(sum(used.sum() for _, used in exposures)),
-        n_stars=sum(int(a.kept[a.stars(k)].sum()) for a, used in exposures for k in np.flatnonzero(used)),
+        n_exposures=int(sum(one.usable.sum() for one in exposures)),
+        n_stars=sum(int(a.kept[a.stars(k)].sum()) for a in exposures for k in np.flatnonzero(a.usable)),
         n_targets=n_kept,
         iterations=iterations,
         converged_matrix=bool(np.linalg.norm(last) <= settings.tolerance_rad),

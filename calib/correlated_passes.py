@@ -72,7 +72,6 @@ def _together(passes: list[PreparedStrip]) -> PreparedStrip:
         **joined,
         ground=GroundSightings.together([one.ground for one in passes]),
         attitudes=ExposureAttitudes.together([one.attitudes for one in passes]),
-        used=np.concatenate([one.used for one in passes]),
         weights=sparse.block_diag([one.weights for one in passes], format="csr"),
         number=np.repeat(np.arange(len(passes)), [len(one.v_s) for one in passes]),
         attitude_s=np.concatenate([phi, motion], axis=2),

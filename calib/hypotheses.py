@@ -249,7 +249,7 @@ def hypotheses(of: HypothesisInputs) -> list[Hypothesis]:
         found += _in_each(_passes(of), _errors(of, "attitude or mounting", ABOUT_TRACK, of.turns()))
         found += _of_season(of)
         found += _in_each(_later_passes(of), _errors(of, "mounting moved", ABOUT_AXES, of.turns()))
-        found += _of_images(of)
+        found += _in_each(_images(of), _errors(of, "image of a CCD", ("lines", "samples"), of.shifts()))
     found += [*_of_motion(of), *_of_lines(of)]
     if of.effects:
         found += _of_star_camera(of)
@@ -482,12 +482,12 @@ def _of_input(of: HypothesisInputs, moved: MovedInput) -> Hypothesis:
     """An input whose effect was predicted: v_s moves by R_si du_i + psi x v_s."""
     change = []
     for one in of.prepared:
-        dv_s = np.zeros_like(one.v_s)
+        dv_s, used = np.zeros_like(one.v_s), one.attitudes.usable
         directions_i, turns_s = moved.directions_i.get(one.strip_id), moved.turns_s.get(one.strip_id)
         if directions_i is not None:
             dv_s = dv_s + np.einsum("jab,jb->ja", one.R_si, directions_i)
-        if turns_s is not None and len(turns_s) == len(one.used):  # else another head carries the strip
-            dv_s = dv_s + np.cross(one.weights @ turns_s[one.used], one.v_s)
+        if turns_s is not None and len(turns_s) == len(used):  # else another head carries the strip
+            dv_s = dv_s + np.cross(one.weights @ turns_s[used], one.v_s)
         change.append(-dv_s)
     stated = {one.name: getattr(moved, one.name) for one in fields(InputError)}
     moves_c = of.in_c(np.concatenate(change))
@@ -531,17 +531,13 @@ def _focal_length(of: HypothesisInputs) -> Hypothesis:
     return _error(of, "focal length of the remote-sensing camera", change)
 
 
-def _of_images(of: HypothesisInputs) -> Iterator[Hypothesis]:
-    yield from _in_each(_images(of), _errors(of, "image of a CCD", ("lines", "samples"), of.shifts()))
-
-
 def _of_star_camera(of: HypothesisInputs) -> Iterator[Hypothesis]:
     """Parts of the star camera's model: they show in its stars, and turn the attitudes."""
     every = _all("all exposures", of)
     for k, part in enumerate(PARTS):
         what, comma, which = part.partition(",")
         change = [
-            cross_matrices(one.v_s) @ (one.weights @ effect.psi[one.used, :, k])[:, :, None]
+            cross_matrices(one.v_s) @ (one.weights @ effect.psi[one.attitudes.usable, :, k])[:, :, None]
             for one, effect in zip(of.prepared, of.effects)
         ]
         change_c = (of.C @ np.concatenate(change))[:, :, 0]

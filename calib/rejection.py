@@ -37,7 +37,7 @@ def _stars_and_exposures(strip: StripSightings, ready: PreparedStrip, limit: flo
         rows = ready.attitudes.stars(k)
         kept, statistic = ready.attitudes.kept[rows], ready.attitudes.squared_mahalanobis[rows]
         counts = float(kept.sum()), float(len(kept))
-        if not ready.used[k]:
+        if not ready.attitudes.usable[k]:
             subject = Subject(Kind.EXPOSURE, exposure=exposure.exposure_id)
             yield Entry(subject, Reason.ATTITUDE_NOT_FIXED, more=counts)
             continue
@@ -57,7 +57,7 @@ def _targets(
     """Targets of the strip `name` that are not covered, or fail their test; or that none is covered."""
     inside = ready.inside[ready.strip == name]
     if residuals is None or not inside.any():
-        counts = float(ready.used.sum()), float(len(inside))
+        counts = float(ready.attitudes.usable.sum()), float(len(inside))
         yield Entry(Subject(Kind.STRIP, strip=name), Reason.NO_TARGET_COVERED, more=counts)
         return
     own = np.flatnonzero(residuals.strip_id == name)

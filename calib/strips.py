@@ -58,8 +58,7 @@ class PreparedStrip:
     strip_id: str = scalar("the strip; of a pass of several (`simultaneous_strips`), the first of them")
     strip: Texts = array("J", "strip of each target")
     ground: GroundSightings = scalar("the J targets")
-    attitudes: ExposureAttitudes = scalar("of all exposures")
-    used: Bools = array("K", "exposures whose attitudes are interpolated")
+    attitudes: ExposureAttitudes = scalar("of all exposures; the usable ones are interpolated")
     inside: Bools = array("J", "whether exposures cover the target's instant")
     camera: Ints = array("J", "number of the camera, of those that are calibrated")
     weights: Floats = array(
@@ -220,7 +219,6 @@ def prepare_strip(
         strip=strip.strip_of_target,
         ground=ground,
         attitudes=strip.fitted,
-        used=strip.fitted.usable,
         camera=camera,
         curve=curve,
         place=place,

@@ -155,15 +155,15 @@ class Ccd:
     def focal_plane(self, sample: ArrayLike) -> Floats:
         """Ideal image points (N, 2), `(x_f, y_f)`, m, of samples (N,), distortion removed."""
         n = np.asarray(sample, dtype=float)
-        points = self._along(n)[0] * self._axis[:, None]  # components lie together in memory
-        points += self._axis_point[:, None]
-        points -= self._off_line(n)[0] * self._normal[:, None]
+        points = self._along(n)[0] * self.axis[:, None]  # components lie together in memory
+        points += self.axis_point[:, None]
+        points -= self._off_line(n)[0] * self.normal[:, None]
         return points.T
 
     def focal_plane_slope(self, sample: ArrayLike) -> Floats:
         """Derivative d(x_f, y_f) / d sample (N, 2), m/px, at samples (N,)."""
         n = np.asarray(sample, dtype=float)
-        return self._along(n)[1][:, None] * self._axis - self._off_line(n)[1][:, None] * self._normal
+        return self._along(n)[1][:, None] * self.axis - self._off_line(n)[1][:, None] * self.normal
 
     def samples(self, xy_f: Floats) -> tuple[Floats, Floats]:
         """The nearest sample (N,) of focal-plane points (N, 2), m, and their distance across the detector
@@ -171,9 +171,9 @@ class Ccd:
 
         The distance is positive towards +x_f.
         """
-        offset = xy_f - self._axis_point
-        along = offset @ self._axis
-        across = offset @ self._normal
+        offset = xy_f - self.axis_point
+        along = offset @ self.axis
+        across = offset @ self.normal
         sample = self.principal_sample + along / self.pixel_m
         for _ in range(20):
             before, slope = self._along(sample)
@@ -184,15 +184,18 @@ class Ccd:
         return sample, across + self._off_line(sample)[0]
 
     @property
-    def _normal(self) -> Floats:
+    def normal(self) -> Floats:
+        """Unit vector (2,) across the detector, towards +x_f."""
         return np.array([np.cos(self.rotation_rad), np.sin(self.rotation_rad)])
 
     @property
-    def _axis(self) -> Floats:
+    def axis(self) -> Floats:
+        """Unit vector (2,) along the detector, towards +y_f."""
         return np.array([-np.sin(self.rotation_rad), np.cos(self.rotation_rad)])
 
     @property
-    def _axis_point(self) -> Floats:
+    def axis_point(self) -> Floats:
+        """Ideal image point (2,) of the principal sample, m."""
         return np.array([self.x_offset_m, self.y_first_m + self.principal_sample * self.pixel_m])
 
     def _along(self, sample: Floats) -> tuple[Floats, Floats]:

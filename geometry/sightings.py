@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -148,6 +149,15 @@ class GroundSightings(RowRecord):
         n = len(self.target_id)
         none = np.zeros(n, dtype=str), np.zeros((n, 3, 3)), np.zeros((n, 3)), np.zeros((n, 3))
         return self.references or GroundReferences(*none)
+
+    @classmethod
+    def of_stars(cls, t_s: Floats, **columns: Any) -> GroundSightings:
+        """Stars in place of targets at instants (N,): no position of the satellite, Earth or effect on light
+        moves them.
+        """
+        n = len(t_s)
+        columns |= {"earth_i": np.zeros((n, 3, 3)), "light_i": np.zeros((n, 3, 4))}
+        return cls(t_s=t_s, range_m=np.full(n, np.inf), v_rel_i=np.zeros((n, 3)), **columns)
 
     @classmethod
     def together(cls, parts: Sequence[GroundSightings]) -> GroundSightings:

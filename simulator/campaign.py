@@ -13,7 +13,6 @@ no refraction, no map has a part in it. Scans lie before t = 0, where a campaign
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -42,9 +41,9 @@ __all__ = [
     "StripTruth",
     "Waves",
     "draw_frames",
-    "draw_other_camera",
     "draw_sky_strips",
     "draw_strips",
+    "draw_targets",
     "installation_by_tilt",
     "noisy",
     "noisy_frames",
@@ -178,28 +177,6 @@ def draw_strips(
     )
 
 
-def draw_other_camera(
-    strips: Sequence[StripSightings],
-    truth: StripTruth,
-    plan: StripPlan,
-    cameras: CameraPair,
-    name: str,
-    rng: np.random.Generator,
-) -> list[StripSightings]:
-    """What another camera of the satellite sees while `strips` are taken: the same exposures, attitudes and
-    position, a row clock and a distortion of its own. Matrix and field are those of `cameras`.
-    """
-    curve, drawn = DistortionCurve.draw(plan, cameras, rng), []
-    turn = cameras.R_cs * truth.R_cs.inv()
-    for strip, motion, error_m in zip(strips, truth.motion, truth.position_m):
-        of_other, strip_id = replace(motion, turn=turn), f"{strip.strip_id}-{name}"
-        t = motion.begin_s + plan.duration_s * np.sort(rng.uniform(*plan.along, plan.targets))
-        rows = t, of_other.R_oi(t), of_other.R_ci(t)
-        ground, *_ = _draw_targets(strip_id, rows, plan, cameras, of_other, (curve, None), rng, error_m)
-        drawn.append(replace(strip, strip_id=strip_id, ground=ground, R_oi_targets=rows[1], camera=name))
-    return drawn
-
-
 def strip_every_s(plan: StripPlan) -> float:
     """Time from the beginning of one strip of a campaign to that of the next."""
     return plan.duration_s + 2.0 * plan.exposure_margin_s + PAUSE_S
@@ -286,7 +263,6 @@ class DrawnStripMotion:
     rate: float  # rad/s
     R_ie: Rotation  # orbit's axes (x to the node, z along the orbit's normal) to i
     waves: Waves
-    turn: Rotation | None = None  # from the camera whose axes oscillate to another one
 
     @classmethod
     def draw(cls, plan: StripPlan, begin_s: float, rng: np.random.Generator) -> DrawnStripMotion:
@@ -317,8 +293,7 @@ class DrawnStripMotion:
 
     def R_ci(self, t: Array) -> Rotation:
         """Rotations (N,) from frame i to the remote-sensing camera, without vibration."""
-        R_ci = self.R_co(t) * self.R_oi(t)
-        return R_ci if self.turn is None else self.turn * R_ci
+        return self.R_co(t) * self.R_oi(t)
 
 
 @record
@@ -376,7 +351,7 @@ def _draw_strip(
     R_oi = motion.R_oi(t)
     rows = t, R_oi, motion.R_co(t) * R_oi
     shared = curve, survey_i
-    ground, wrong_rows, look_c, error_m = _draw_targets(name, rows, plan, cameras, motion, shared, rng)
+    ground, wrong_rows, look_c, error_m = draw_targets(name, rows, plan, cameras, motion, shared, rng)
     strip = StripSightings(
         strip_id=name, exposures=exposures, ground=ground, R_oi_exposures=R_oi_stars, R_oi_targets=R_oi
     )
@@ -417,7 +392,7 @@ def draw_exposures(
     return exposures, {(name, ids[k], row) for k, row in np.argwhere(wrong).tolist()}
 
 
-def _draw_targets(
+def draw_targets(
     name: str,
     rows: tuple[Array, Rotation, Rotation],
     plan: StripPlan,
@@ -554,7 +529,7 @@ def _draw_sky_strip(
     seen = unit(assumed_c + np.pad(curve.at(ccd, sample), ((0, 0), (0, 1))))
     sigma = plan.sigma_c_px * cameras.pixel_rad
     measured = noisy(seen, sigma, rng)
-    stars = GroundSightings(
+    stars = GroundSightings.of_stars(
         target_id=np.array([f"HIP {1000 * int(name[3:]) + j}" for j in range(J)], dtype=str),
         ccd=ccd,
         xy_px=np.column_stack([sample, t - scan.t_s]),
@@ -562,11 +537,7 @@ def _draw_sky_strip(
         u_c=measured,
         u_i=catalogue_i,
         cov_c=isotropic_covariance(measured, sigma),
-        range_m=np.full(J, np.inf),
-        v_rel_i=np.zeros((J, 3)),
         cov_target_i=isotropic_covariance(catalogue_i, sigma_star_rad),
-        earth_i=np.zeros((len(catalogue_i), 3, 3)),
-        light_i=np.zeros((len(catalogue_i), 3, 4)),
     )
     return StripSightings(
         strip_id=name,

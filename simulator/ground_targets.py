@@ -57,8 +57,7 @@ def place_targets(
             if image.std() >= np.hypot(settings.least_texture_dn, settings.chip_noise_dn):
                 break
         name = f"{strip_id}-t{n + 1:02d}"
-        target, chip, true_e = _surveyed(name, scene, east, north, image, chip_m, settings, geoid, rng)
-        found.append((target, chip, true_e))
+        found.append(_surveyed(name, scene, east, north, image, chip_m, settings, geoid, rng))
     names = [target.target_id for target, _, _ in found]
     p_e = np.concatenate([true_e for _, _, true_e in found]) if found else np.zeros((0, 3))
     seen = _true_points(names, strip_id, scene, lines, p_e)

@@ -142,7 +142,7 @@ def render_mission(
             targets=tuple(point for item in targets for point in item.truth),
             check_points=tuple(checks),
             sky_stars=tuple(star for scene in scans for star in scene.truth()),
-            _exposure=partial(_true_exposure, sky, scans, scenario.star_camera.exposure_s, plan),
+            exposure=partial(_true_exposure, sky, scans, scenario.star_camera.exposure_s, plan),
         ),
     )
 
@@ -278,7 +278,7 @@ def _sky_strips(
             t_first_row_s=float(scene.rows.t_first_row_s + clock_s[n]),
             row_period_s=settings.row_period_s,
             bits=detector.bits,
-            _render=partial(render, n, ccd),
+            blocks=partial(render, n, ccd),
             kind="sky",
         )
         for n, scene in enumerate(scans)
@@ -347,7 +347,7 @@ def _terrain_report(
 ) -> TerrainReport:
     error = scenario.terrain.error_m * _rng(seed, "terrain error").standard_normal(heights.shape)
     reported = (heights + error).astype(np.float32)
-    return TerrainReport(reported, affine, 4326, "egm96", scenario.terrain.error_m)
+    return TerrainReport(reported, affine, scenario.terrain.error_m)
 
 
 def _seen_ground(
@@ -437,7 +437,7 @@ def _strips(
             t_first_row_s=float(plan.strips_s[n] + clock_s[n]),
             row_period_s=s.row_period_s,
             bits=ground.bits,
-            _render=partial(render, n, ccd),
+            blocks=partial(render, n, ccd),
         )
         for n in range(s.count)
         for ccd in range(camera.ccds)

@@ -43,12 +43,11 @@ Image = NDArray[Any]
 
 @record
 class OrbitReport:
-    """Reported positions and velocities at even steps, with the receiver's error."""
+    """Reported positions and velocities at even steps, ITRF, with the receiver's error."""
 
-    frame: str = scalar('"ITRF", as in a CCSDS OEM')
     t_s: Array = array("K", "instants, s")
-    positions_m: Array = array("K, 3", "in `frame`, m")
-    velocities_m_s: Array = array("K, 3", "in `frame`, m/s")
+    positions_m: Array = array("K, 3", "in ITRF, m")
+    velocities_m_s: Array = array("K, 3", "in ITRF, m/s")
 
 
 @record
@@ -72,16 +71,12 @@ class StatedErrors:
 
 @record
 class RenderedExposure:
-    """One image of the star camera. `image()` renders it: (height, width), uint8 or uint16."""
+    """One image of the star camera."""
 
     exposure_id: str
     t_s: float  # middle of the exposure
     exposure_s: float
-    _render: Callable[[], Image]
-
-    def image(self) -> Image:
-        """The rendered image (height, width)."""
-        return self._render()
+    image: Callable[[], Image]  # renders it: (height, width), uint8 or uint16
 
 
 @record
@@ -95,12 +90,10 @@ class RenderedStrip:
     t_first_row_s: float  # middle of the first row
     row_period_s: float
     bits: int
-    _render: Callable[[int], Iterator[Image]]
+    # Renders it in arrays (rows, samples) of so many rows, uint8 or uint16, first row first; the last may be
+    # shorter.
+    blocks: Callable[[int], Iterator[Image]]
     kind: str = "ground"  # or "sky"
-
-    def blocks(self, rows: int = 512) -> Iterator[Image]:
-        """The strip in arrays (rows, samples), uint8 or uint16, first row first; the last may be shorter."""
-        return self._render(rows)
 
 
 @record
@@ -129,12 +122,10 @@ class GroundTarget:
 
 @record
 class TerrainReport:
-    """The grid of heights that the user gets. `affine` as in `ChipImage`, in degrees."""
+    """The grid of heights that the user gets, EPSG:4326: columns run along longitude."""
 
-    heights_m: NDArray[np.float32] = array("H, W", "heights, rows from north to south, m")
+    heights_m: NDArray[np.float32] = array("H, W", "above the geoid EGM96, rows from north to south, m")
     affine: tuple[float, float, float, float, float, float] = array("6", "as in `ChipImage`, degrees")
-    epsg: int = scalar("4326: columns run along longitude")
-    height_kind: str = scalar('"egm96": above the geoid')
     sigma_m: float = scalar("1 sigma of the heights, m")
 
 
@@ -203,11 +194,9 @@ class Truth:
     targets: tuple[TruePoint, ...] = scalar("sightings of the targets")
     check_points: tuple[TruePoint, ...] = scalar("sightings of the check points")
     sky_stars: tuple[TrueStar, ...] = scalar("stars in strips of the sky")
-    _exposure: Callable[[str], TrueExposure] = scalar("computes the stars of an exposure")
-
-    def exposure(self, exposure_id: str) -> TrueExposure:
-        """The stars of one exposure; `KeyError` for an id that the mission does not have."""
-        return self._exposure(exposure_id)
+    exposure: Callable[[str], TrueExposure] = scalar(
+        "computes the stars of an exposure; `KeyError` for an id that the mission does not have"
+    )
 
 
 @record

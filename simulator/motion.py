@@ -78,7 +78,7 @@ def reported_orbit(orbit: Orbit, t_s: Array, strips_s: Array, errors_e: Array, h
         step = errors_e[n + 1] - errors_e[n]
         error += x**3 * (10.0 + x * (6.0 * x - 15.0)) * step
         rate += 30.0 * x**2 * (1.0 - x) ** 2 * step / (stop - start)
-    return OrbitReport("ITRF", t_s, positions + error, velocities + rate)
+    return OrbitReport(t_s, positions + error, velocities + rate)
 
 
 @record(kw_only=True)

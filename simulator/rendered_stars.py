@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
 from functools import lru_cache
 from typing import Any
 
@@ -19,7 +18,7 @@ from boresight.simulator.motion import ScanAttitude, TrueAttitude
 from boresight.simulator.scenario import SkySettings
 from boresight.simulator.sky import expose, star_charge
 
-__all__ = ["StarField", "joined_stars", "with_invented_stars"]
+__all__ = ["StarField", "with_invented_stars"]
 
 Array = NDArray[np.float64]
 
@@ -102,14 +101,4 @@ def with_invented_stars(stars: StarPlaces, sky: SkySettings, rng: np.random.Gene
         v_mag=np.log10(rng.uniform(low, high, count)) / 0.45,
         epoch_jyear=stars.epoch_jyear,
     )
-    return joined_stars(stars, invented)
-
-
-def joined_stars(stars: StarPlaces, others: StarPlaces) -> StarPlaces:
-    """The stars of both, whose positions are of one epoch."""
-    arrays = {
-        f.name: np.concatenate([getattr(stars, f.name), getattr(others, f.name)])
-        for f in fields(stars)
-        if f.name != "epoch_jyear"
-    }
-    return StarPlaces(**arrays, epoch_jyear=stars.epoch_jyear)
+    return StarPlaces.together([stars, invented])

@@ -24,7 +24,6 @@ from boresight.geometry.starlight import StarPlaces, SurveyedStars, apparent_sta
 from boresight.records.record import record, scalar
 from boresight.simulator.mission_records import TrueStar
 from boresight.simulator.motion import ScanAttitude
-from boresight.simulator.rendered_stars import joined_stars
 from boresight.simulator.scan import all_panels, digitised_strip, panels_near
 from boresight.simulator.scenario import GroundSettings, SkyStripSettings
 
@@ -152,7 +151,8 @@ def sky_around(
     true = replace(
         places, ra_rad=places.ra_rad + error[0] / np.cos(places.dec_rad), dec_rad=places.dec_rad + error[1]
     )
-    return joined_stars(true, _uncatalogued(settings, middle_i, radius_rad, places.epoch_jyear, rng))
+    unlisted = _uncatalogued(settings, middle_i, radius_rad, places.epoch_jyear, rng)
+    return StarPlaces.together([true, unlisted])
 
 
 def _uncatalogued(

@@ -1,5 +1,8 @@
 """Campaigns of strips with every error of the paper's Table 1, and whether what is stated of errors holds."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
@@ -8,9 +11,27 @@ from scipy.stats import chi2
 from boresight.calib.estimate import InstallationEstimate
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
-from boresight.simulator.campaign import CameraPair, StripPlan
+from boresight.geometry.sightings import StripSightings
+from boresight.records.record import record
+from boresight.simulator.campaign import (
+    CameraPair,
+    DistortionCurve,
+    DrawnStripMotion,
+    StripPlan,
+    StripTruth,
+    draw_targets,
+)
 
-__all__ = ["BOLD", "CAMERAS", "R_CS0", "TABLE_1", "assert_chi_square", "nees_of_estimate", "squared"]
+__all__ = [
+    "BOLD",
+    "CAMERAS",
+    "R_CS0",
+    "TABLE_1",
+    "assert_chi_square",
+    "draw_other_camera",
+    "nees_of_estimate",
+    "squared",
+]
 
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
 CAMERAS = CameraPair(BOLD)
@@ -35,3 +56,36 @@ def assert_chi_square(squares: ArrayLike, dof: float) -> None:
     found = np.atleast_1d(squares)
     low, high = chi2(df=dof * len(found)).ppf([0.0005, 0.9995])
     assert low < found.sum() < high, (low, found.sum(), high)
+
+
+def draw_other_camera(
+    strips: Sequence[StripSightings],
+    truth: StripTruth,
+    plan: StripPlan,
+    cameras: CameraPair,
+    name: str,
+    rng: np.random.Generator,
+) -> list[StripSightings]:
+    """What another camera of the satellite sees while `strips` are taken: the same exposures, attitudes and
+    position, a row clock and a distortion of its own. Matrix and field are those of `cameras`.
+    """
+    curve, drawn = DistortionCurve.draw(plan, cameras, rng), []
+    turn = cameras.R_cs * truth.R_cs.inv()
+    for strip, nadir, error_m in zip(strips, truth.motion, truth.position_m):
+        motion = _Turned(nadir.begin_s, nadir.radius_m, nadir.rate, nadir.R_ie, nadir.waves, turn)
+        strip_id = f"{strip.strip_id}-{name}"
+        t = nadir.begin_s + plan.duration_s * np.sort(rng.uniform(*plan.along, plan.targets))
+        rows = t, nadir.R_oi(t), motion.R_ci(t)
+        ground, *_ = draw_targets(strip_id, rows, plan, cameras, motion, (curve, None), rng, error_m)
+        drawn.append(replace(strip, strip_id=strip_id, ground=ground, R_oi_targets=rows[1], camera=name))
+    return drawn
+
+
+@record
+class _Turned(DrawnStripMotion):
+    """The motion of a camera whose axes are rotated against those that oscillate."""
+
+    turn: Rotation
+
+    def R_ci(self, t: NDArray) -> Rotation:
+        return self.turn * DrawnStripMotion.R_ci(self, t)

@@ -1,11 +1,11 @@
 """Attitudes of two star cameras as those of Sentinel-2A, with the noise that is drawn."""
 
 import numpy as np
+from drawn_heads import correlated_noise
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.pipeline.head_noise.tracks import HeadTrack
-from boresight.simulator.head_attitudes import correlated_noise
 
 ARCSEC = np.pi / 648_000.0
 STEP, ROWS = 0.1, 930  # the record of Sentinel-2A's trackers

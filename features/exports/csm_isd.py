@@ -251,12 +251,9 @@ def _orientation(
 
 def _detector(detector: Ccd, first: int, stop: int, coefficients: tuple[Floats, Floats]) -> dict[str, Any]:
     """Affine detector in the rotated frame, millimetres: y' = -y. CSM's sample is ours + 0.5."""
-    per_mm = 1e-3 / detector.pixel_m
-    cos, sin = np.cos(detector.rotation_rad), np.sin(detector.rotation_rad)
-    principal_y_m = detector.y_first_m + detector.principal_sample * detector.pixel_m
-    centre_mm = np.array([detector.x_offset_m, -principal_y_m]) * 1e3
-    samples = np.array([-sin, -cos]) * per_mm
-    lines = np.array([cos, -sin]) * per_mm
+    per_mm, mirrored = 1e-3 / detector.pixel_m, np.array([1.0, -1.0])
+    centre_mm = mirrored * detector.axis_point * 1e3
+    samples, lines = (mirrored * one * per_mm for one in (detector.axis, detector.normal))
     return {
         "image_samples": stop - first,
         "detector_sample_summing": 1,

@@ -44,14 +44,13 @@ from boresight.geometry.geoid import egm96
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import outline_deg
 from boresight.geometry.sightings import StarSightings
-from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dimap_metadata import operator_model
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.files.table_files import column, list_values
-from boresight.pipeline.files.terrain_files import surface_of
+from boresight.pipeline.files.terrain_files import mean_level, surface_of
 from boresight.pipeline.files.whole_file import write_whole
 from boresight.pipeline.results.calibration_file import calibration_text
 from boresight.pipeline.results.reading import read_for_dump, read_saved_result
@@ -178,7 +177,7 @@ def _csm_isd(request: ExportRequest) -> Made:
     calibrated = _opened(request)
     dump, about = calibrated.dump, {"notes": _notes(request).items()}
     about |= {"parameter_covariance": parameter_covariance(calibrated.result.cov_theta)}
-    height_m = float(np.mean(surface_of(dump.terrain).height_range_m()))
+    height_m = mean_level(dump.terrain).height
     for model in _models(calibrated, request.strips):
         for ccd, lines in sorted(model.strip.ccd_lines.items()):
             image = _image_name(model.strip, ccd)
@@ -225,7 +224,7 @@ def _vrt(request: ExportRequest) -> Made:
 
 def _kml(request: ExportRequest) -> Made:
     calibrated = _opened(request)
-    height = ConstantHeight(float(np.mean(surface_of(calibrated.dump.terrain).height_range_m())))
+    height = mean_level(calibrated.dump.terrain)
     outlines = {
         model.strip.strip_id: outline_deg(model.pushbroom, model.strip.ccd_lines, height)
         for model in _models(calibrated, request.strips)
@@ -246,9 +245,8 @@ def _geojson(request: ExportRequest) -> Made:
 
 def _fits(request: ExportRequest) -> Made:
     calibrated = _opened(request)
-    folder, _ = read_for_dump(request.result, request.dump, request.camera)
-    read_sightings(folder, "stars", "exposure_id t_s hip xy_px u_s u_i cov_s")  # names damage
-    file = pq.ParquetFile(folder / "sightings" / "stars.parquet")
+    read_sightings(calibrated.folder, "stars", "exposure_id t_s hip xy_px u_s u_i cov_s")  # names damage
+    file = pq.ParquetFile(calibrated.folder / "sightings" / "stars.parquet")
     exposures = [_exposure(file, group) for group in range(file.num_row_groups)]
     found = [exposure for exposure in exposures if exposure is not None]
     yield "centroids.fits", centroids_fits(found, calibrated.dump.epoch, _notes(request))
@@ -258,8 +256,7 @@ def _operator(request: ExportRequest) -> Made:
     """The correction of each strip in operators' parameters; with rate and scale where points allow them."""
     calibrated, notes = _opened(request), _notes(request).items()
     dump = calibrated.dump
-    folder, _ = read_for_dump(request.result, request.dump, request.camera)
-    table = read_sightings(folder, "targets", "strip_id t_s kept u_c u_i")
+    table = read_sightings(calibrated.folder, "targets", "strip_id t_s kept u_c u_i")
     strips = np.array(table.column("strip_id").to_pylist(), dtype=str)
     kept, t_s = column(table, "kept").astype(bool), column(table, "t_s")
     u_c, u_i = list_values(table, "u_c", 3), list_values(table, "u_i", 3)
@@ -423,8 +420,7 @@ def _exposure(file: pq.ParquetFile, group: int) -> StarSightings | None:
 def _ground_points(request: ExportRequest) -> list[GroundPoints]:
     """Matched targets, one record per CCD of each strip."""
     calibrated = _opened(request)
-    folder, _ = read_for_dump(request.result, request.dump, request.camera)
-    table = read_sightings(folder, "targets", "strip_id target_id ccd kept xy_px cov_px")
+    table = read_sightings(calibrated.folder, "targets", "strip_id target_id ccd kept xy_px cov_px")
     strips = np.array(table.column("strip_id").to_pylist(), dtype=str)
     names = np.array(table.column("target_id").to_pylist(), dtype=str)
     ccd, kept = column(table, "ccd"), column(table, "kept").astype(bool)

@@ -19,7 +19,6 @@ from scipy.spatial.transform import Rotation
 
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.text_files import read_text
-from boresight.records.record import Floats
 
 __all__ = ["corrected_gipp"]
 
@@ -40,8 +39,8 @@ def corrected_gipp(
     """
     text = read_text(product, product.name)
     if (frame := FRAME.search(text)) is not None:
-        values = [_number(frame[0], name, product.name) for name in ANGLES]
-        R_cp = _mounting(1e-3 * np.array(values))
+        x, y, z = 1e-3 * np.array([_number(frame[0], name, product.name) for name in ANGLES])
+        R_cp = Rotation.from_euler("YXZ", [y, x, z])
         _check_is_of(text, R_cp, R_cs0, head, product.name)
         y, x, z = (correction * R_cp).as_euler("YXZ")
         block = frame[0]
@@ -58,11 +57,6 @@ def corrected_gipp(
     for name, date in zip(("APPLICABILITY_DATE", "APPLICABILITY_END_DATE"), dates):
         text = _replaced(text, name, date) if date else text
     return text
-
-
-def _mounting(angles_rad: Floats) -> Rotation:
-    x, y, z = angles_rad
-    return Rotation.from_euler("YXZ", [y, x, z])
 
 
 def _check_is_of(text: str, R_cp: Rotation, R_cs0: Rotation, head: str, file: str) -> None:

@@ -10,7 +10,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,6 +17,7 @@ from pyproj import CRS
 
 from boresight.features.exports.notes import Notes, one_line
 from boresight.geometry.geoid import Geoid
+from boresight.pipeline.files.whole_file import json_text
 from boresight.records.record import Bools, Floats, array, record, scalar
 
 __all__ = ["GroundPoints", "points_asp", "points_envi", "points_geojson", "points_qgis"]
@@ -102,28 +102,24 @@ def points_geojson(parts: Sequence[GroundPoints], notes: Notes) -> str:
             "type": "Feature",
             "geometry": {
                 "type": "Point",
-                "coordinates": [float(part.lon_deg[n]), float(part.lat_deg[n]), float(part.height_m[n])],
+                "coordinates": [part.lon_deg[n], part.lat_deg[n], part.height_m[n]],
             },
             "properties": {
                 "target": part.target_id[n],
                 "strip": part.strip_id,
-                "ccd": int(part.ccd),
+                "ccd": part.ccd,
                 "image": part.image,
-                "sample": float(part.xy_px[n, 0]),
-                "line": float(part.xy_px[n, 1]),
-                "sigma_sample_px": float(part.sigma_px[n, 0]),
-                "sigma_line_px": float(part.sigma_px[n, 1]),
-                "residual_sample_px": _finite(part.residual_px[n, 0]),
-                "residual_line_px": _finite(part.residual_px[n, 1]),
-                "used": bool(part.used[n]),
+                "sample": part.xy_px[n, 0],
+                "line": part.xy_px[n, 1],
+                "sigma_sample_px": part.sigma_px[n, 0],
+                "sigma_line_px": part.sigma_px[n, 1],
+                "residual_sample_px": part.residual_px[n, 0],
+                "residual_line_px": part.residual_px[n, 1],
+                "used": part.used[n],
             },
         }
         for part in parts
         for n in range(len(part.target_id))
     ]
     content = {"type": "FeatureCollection", "boresight": notes.items(), "features": features}
-    return json.dumps(content, indent=1, allow_nan=False) + "\n"
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    return json_text(content, indent=1) + "\n"

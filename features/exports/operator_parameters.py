@@ -124,6 +124,7 @@ def operator_parameters(
     sigma = found.sigma[: 3 * (degree + 1)].reshape(degree + 1, 3)
     (t0_utc,) = epoch.utc_from_seconds([found.t0_s])
     Q = found.rotations(np.array([found.t0_s]))[0]
+    has_scale = len(found.covariance) > found.angles_rad.size
     y, x, z = (R_cs0 * Q).as_euler("YXZ")
     x0, y0, z0, w0 = Q.as_quat()
     content: dict[str, Any] = {
@@ -136,7 +137,7 @@ def operator_parameters(
             axis: {"coefficients": found.angles_rad[:, n].tolist(), "sigma": sigma[:, n].tolist()}
             for n, axis in enumerate("xyz")
         },
-        "homothety_z": {"h": found.scale, "sigma": float(found.sigma[-1]) if _has_scale(found) else None},
+        "homothety_z": {"h": found.scale, "sigma": float(found.sigma[-1]) if has_scale else None},
         "piloting_to_instrument_mrad": {"R1_X": 1e3 * x, "R2_Y": 1e3 * y, "R3_Z": 1e3 * z},
         "rugged": [
             {"transform": "FixedZHomothety", "factor": 1.0 + found.scale},
@@ -153,7 +154,3 @@ def operator_parameters(
         "quaternion": [float(w0), float(x0), float(y0), float(z0)],
     }
     return json.dumps(content, indent=2) + "\n"
-
-
-def _has_scale(found: LineOfSightCorrection) -> bool:
-    return len(found.covariance) > found.angles_rad.size

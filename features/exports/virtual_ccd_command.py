@@ -9,7 +9,6 @@ import typer
 
 from boresight.features.exports.ground_error import ground_error
 from boresight.features.exports.virtual_strip import write_virtual_strip
-from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.console.arguments import CameraOption, DumpOption
 from boresight.pipeline.console.completion import strips_of
 from boresight.pipeline.console.messages import tell
@@ -35,7 +34,7 @@ def virtual_ccd_command(
     """
     calibrated = open_calibrated(result, dump, camera=camera)
     model = whole_strip_model(calibrated, strip)
-    surface = ConstantHeight(height_m) if height_m is not None else surface_of(calibrated.dump.terrain)
+    surface = surface_of(calibrated.dump.terrain, height_m)
     middle_m = sum(surface.height_range_m()) / 2.0
     ccds = sorted(model.strip.ccd_lines.items())
     on_ground = ground_error(calibrated, model, *ccds[len(ccds) // 2], middle_m)

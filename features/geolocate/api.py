@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from boresight.accepted import PathLike, floats_of, number_of, path_of, source_of, wrong
 from boresight.features.geolocate.positions import Pixels
 from boresight.features.geolocate.positions import ground_places as positions_of
-from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
@@ -78,7 +77,7 @@ def geolocate(
     pixels = _pixels(ccd, line, sample)
     height = None if height_m is None else number_of(height_m, "height_m", -MOST_HEIGHT_M, MOST_HEIGHT_M)
     calibrated = open_calibrated(folder, place, camera=camera)
-    surface = surface_of(calibrated.dump.terrain) if height is None else ConstantHeight(height)
+    surface = surface_of(calibrated.dump.terrain, height)
     found = positions_of(calibrated, strip_model(calibrated, strip), pixels, surface)
     columns = ("lat_deg", "lon_deg", "height_m", "sigma_along_m", "sigma_across_m")
     return pd.DataFrame({name: getattr(found, name) for name in columns})

@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from boresight.features.geolocate.positions import ground_places, places_csv, read_pixels
-from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.console.arguments import CameraOption, DumpOption, ResultArgument, StaleEop
 from boresight.pipeline.console.completion import strips_of
 from boresight.pipeline.console.messages import print_data, tell
@@ -38,7 +37,7 @@ def geolocate_command(
     calibrated = open_calibrated(result, dump, camera=camera, allow_stale_eop=allow_stale_eop)
     model = strip_model(calibrated, strip)
     read = read_pixels(pixels, calibrated)
-    surface = ConstantHeight(height_m) if height_m is not None else surface_of(calibrated.dump.terrain)
+    surface = surface_of(calibrated.dump.terrain, height_m)
     places = ground_places(calibrated, model, read, surface)
     text = "".join(places_csv(read, places))
     if out is None:

@@ -72,8 +72,7 @@ def write_noise(found: HeadNoise, out: Path) -> tuple[Path, ...]:
     text = "\n".join(_toml(name, noise) for name, noise in zip(found.names, found.fit.heads))
     write_text(files[0], text)
     write_json(files[1], noise_json(found))
-    figure = _noise_figure(found)
-    write_figure(files[2], figure)
+    write_figure(files[2], _noise_figure(found))
     return files
 
 

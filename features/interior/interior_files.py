@@ -96,8 +96,7 @@ def write_interior(calibration: InteriorCalibration, out: Path) -> tuple[Path, .
     }
     write_whole(files[0], lambda path: write_toml(path, table))
     write_json(files[1], interior_json(calibration))
-    figure = _figure(calibration)
-    write_figure(files[2], figure)
+    write_figure(files[2], _figure(calibration))
     return files
 
 

@@ -129,8 +129,7 @@ class InteriorModel:
     def _of_ccd(self, c: int, sample: Floats) -> Floats:
         ccd, f = self.camera.ccds[c], self.camera.focal_m
         xy, pitch = ccd.focal_plane(sample), ccd.pixel_m
-        a = np.array([-np.sin(ccd.rotation_rad), np.cos(ccd.rotation_rad)])
-        n = np.array([a[1], -a[0]])
+        a, n = ccd.axis, ccd.normal
         along = (xy - ccd.focal_plane(np.array([ccd.principal_sample]))) @ a
         curve = CubicSpline(self.knots[c], np.eye(len(self.knots[c])))(sample) * pitch  # (J, K)
         dv = np.zeros((len(sample), 3, len(self.names)))
@@ -254,11 +253,10 @@ def _corrected(c: int, ccd: Ccd, knots: Floats, value: dict[str, float]) -> Ccd:
     none = np.zeros(0)
     plain = replace(ccd, distortion_samples=none, distortion_offsets_m=none, across_offsets_m=none)
     shift = plain.focal_plane(samples) - ccd.focal_plane(samples)
-    a = np.array([-np.sin(ccd.rotation_rad), np.cos(ccd.rotation_rad)])
-    n = np.array([a[1], -a[0]])
+    a, n = ccd.axis, ccd.normal
     pitch, scale, turn = ccd.pixel_m, value[f"scale/{c}"], value[f"rotation/{c}"]
     move = pitch * (value[f"shift_along/{c}"] * a + value[f"shift_across/{c}"] * n)
-    principal = ccd.y_first_m + ccd.principal_sample * pitch + move[1]
+    principal = ccd.axis_point[1] + move[1]
     return replace(
         ccd,
         x_offset_m=ccd.x_offset_m + move[0],

@@ -40,7 +40,7 @@ from boresight.pipeline.results.folder import results_in
 from boresight.pipeline.results.identity import result_id
 from boresight.pipeline.results.reading import pairs_in
 from boresight.pipeline.results.sightings_tables import pairs_table
-from boresight.records.record import Floats, array, record, scalar
+from boresight.records.record import array, record, scalar
 
 __all__ = ["ArchivedSeries", "add_mounting", "add_results", "series_of"]
 
@@ -297,8 +297,8 @@ def _series(archive: Path, database: sqlite3.Connection, name: str) -> ArchivedS
         shared_F=shared_F,
         shared_right=shared_right,
         cos_sin=np.array([(row["cos_u"], row["sin_u"]) for row in used], dtype=float),
-        beta_rad=_numbers(used, "beta_rad"),
-        temperature_c=_numbers(used, "temperature_c"),
+        beta_rad=np.array([row["beta_rad"] for row in used], dtype=float),
+        temperature_c=np.array([row["temperature_c"] for row in used], dtype=float),
         exchanges=tuple(k for k in range(1, K) if used[k]["star_camera"] != used[k - 1]["star_camera"]),
     )
     own = Rotation.from_quat(np.array([json.loads(row["reference"]) for row in used]))
@@ -335,7 +335,3 @@ def _sharing(database: sqlite3.Connection, name: str, rows: Sequence[sqlite3.Row
         else:
             counted |= dict.fromkeys(own, row["id"])
     return reasons
-
-
-def _numbers(rows: Sequence[sqlite3.Row], name: str) -> Floats:
-    return np.array([np.nan if row[name] is None else row[name] for row in rows], dtype=float)

@@ -30,18 +30,7 @@ __all__ = ["MeasuredPoints", "PointErrors", "asp_images", "points_csv", "read_me
 CORNER = 0.5
 DATUM = "# WKT:"  # what ASP writes before the datum of its points
 # Numbers of a point in ASP's order, without the image's name.
-ASP_NUMBERS = (
-    "latitude",
-    "longitude",
-    "height",
-    "sigma 1",
-    "sigma 2",
-    "sigma 3",
-    "x",
-    "y",
-    "sigma x",
-    "sigma y",
-)
+ASP_NUMBERS = "latitude,longitude,height,sigma 1,sigma 2,sigma 3,x,y,sigma x,sigma y".split(",")
 # Most points of a file.
 MOST_POINTS = 500_000
 
@@ -181,9 +170,9 @@ def _asp(path: Path, file: str, errors: PointErrors, image: str | None) -> Measu
             images.add(cells[at])
             if image is not None and Path(cells[at]).name != Path(image).name:
                 continue
-            words = (*cells[1:7], *cells[at + 1 : at + 5])
+            words = zip(ASP_NUMBERS, (*cells[1:7], *cells[at + 1 : at + 5]))
             names.append(f"p{cells[0]}")
-            numbers.append([check_number(*pair) for pair in _fields(words, file, line)])
+            numbers.append([check_number(word, file, f"{line}, {name}") for name, word in words])
     if len(images) > 1 and image is None:
         raise RawDataError(file, "images", ", ".join(sorted(images)[:4]), "the option --image, to choose one")
     values = np.array(numbers, dtype=float).reshape(len(names), 10)
@@ -194,11 +183,6 @@ def _asp(path: Path, file: str, errors: PointErrors, image: str | None) -> Measu
         lat_lon_height=values[:, :3],
         sigma_m=values[:, 3:6],
     )
-
-
-def _fields(words: Sequence[str], file: str, line: str) -> Iterator[tuple[str, str, str]]:
-    """Each number of a point and an image as `check_number` takes it."""
-    return ((word, file, f"{line}, {name}") for name, word in zip(ASP_NUMBERS, words))
 
 
 def _check_datum(text: str, file: str) -> None:

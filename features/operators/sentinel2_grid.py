@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from boresight.features.operators.sentinel2_product import AttitudeRecord, Sentinel2
-from boresight.geometry.attitude import AttitudeTrack, Interpolation
+from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.constants import WGS84
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.earth_rotation import EarthRotation
@@ -100,24 +100,19 @@ def operator_orbit(strip: Sentinel2, table: EarthOrientationTable) -> Orbit:
     )
 
 
-def operator_pushbroom(
-    strip: Sentinel2, ccd: int, orbit: Orbit, *, interpolation: Interpolation = "taylor", refined: bool = True
-) -> Pushbroom:
-    """The model of one detector: corrected attitudes, the operator's refining where wanted, no light effects.
-
-    Frame s is the piloting frame. "taylor" is the interpolation of the operator's software.
+def operator_pushbroom(strip: Sentinel2, ccd: int, orbit: Orbit) -> Pushbroom:
+    """The model of one detector: corrected attitudes with the operator's refining, where there is one, no
+    light effects. Frame s is the piloting frame.
     """
-    first, last = orbit.span_s
-    attitudes = refined_attitudes(strip) if refined else strip.corrected
-    camera = refined_camera(strip) if refined else strip.camera
+    (first, last), attitudes = orbit.span_s, refined_attitudes(strip)
     covered = (attitudes.t_s >= first) & (attitudes.t_s <= last)
     t_s, R_si = attitudes.t_s[covered], attitudes.R_is[covered].inv()
     return Pushbroom(
-        camera=camera,
+        camera=refined_camera(strip),
         rows=RowClock(float(strip.t_first_row_s[ccd]), strip.row_period_s),
         orbit=orbit,
         earth=orbit.earth,
-        attitude=AttitudeTrack(t_s, R_si, orbit, interpolation=interpolation),
+        attitude=AttitudeTrack(t_s, R_si, orbit, interpolation="taylor"),  # as the operator's software
         R_cs=strip.R_cp,
         effects=LightEffects(light_time=False, aberration=False, refraction=False),
     )

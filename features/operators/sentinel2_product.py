@@ -145,7 +145,8 @@ def read_sentinel2(datastrip: Path, gipp: Path, band: str) -> Sentinel2:
     times = elements_of(root, f"{stamps}/Band_Time_Stamp[@bandId='{band_id}']/Detector", file, 1, 64)
     if wrong := [t for t in times if whole_of(t, "REFERENCE_LINE", file, 10**6) != 1]:
         raise RawDataError(file, f"{stamps}, detector {wrong[0].get('detectorId')}", "another line", "line 1")
-    camera = _camera(looks, _tdi(root, band_id), len(times), looks_file)
+    tdi = f"{_SENSOR}/Acquisition_Configuration/TDI_Configuration_List/TDI_CONFIGURATION"
+    camera = _camera(looks, root.findtext(f"{tdi}[@bandId='{band_id}']", ""), len(times), looks_file)
     t_orbit, positions, velocities, sigma_m = _ephemeris(root, epoch, file)
     trackers = {
         name: _attitudes(rows, epoch, file, "ATTITUDE_QUALITY", "VALIDATT")
@@ -219,11 +220,6 @@ def _is_valid(name: str, day: str) -> bool:
     """Whether a date lies in the span that the name of a GIPP file states; true where it states none."""
     span = re.search(r"_V([0-9]{8}T[0-9]{6})_([0-9]{8}T[0-9]{6})_", name)
     return span is None or span[1] <= day < span[2]
-
-
-def _tdi(root: Element, band_id: int) -> str:
-    where = f"{_SENSOR}/Acquisition_Configuration/TDI_Configuration_List/TDI_CONFIGURATION"
-    return root.findtext(f"{where}[@bandId='{band_id}']", "")
 
 
 def _camera(root: Element, tdi: str, detectors: int, file: str) -> LookAngleCamera:

@@ -20,12 +20,12 @@ from boresight.features.paper.paper_tables import (
     TABLE_5,
 )
 from boresight.geometry.constants import ARCSEC
+from boresight.pipeline.report.panels import AXES
 from boresight.records.record import Floats
 from boresight.simulator.campaign import CameraPair
 
 __all__ = ["COMPARISONS", "errors_of_axes", "noise_law", "rms_of"]
 
-AXES = ("X", "Y", "Z")  # of frame c
 # Height of the paper's satellite, m.
 HEIGHT_M = 530e3
 GAIN_M = float(np.mean([row[k] - row[k + 1] for row in TABLE_5.values() for k in (0, 2)]))  # over Wang
@@ -208,7 +208,7 @@ def exposures_of_slopes(along_m: float, across_m: float) -> Iterator[tuple[float
         found = []
         for azimuth in range(91):
             R_cs = star_camera_rotation(from_zenith, azimuth, 0.0)
-            x, y, _ = predicted_sigma(R_cs, shapes, (1.0, 0.0), one, none)[0] * ARCSEC * HEIGHT_M
+            x, y, _ = predicted_sigma(R_cs, shapes, [(1.0, 0.0)], one, none)[0] * ARCSEC * HEIGHT_M
             found.append((abs(np.log(y / x * across_m / along_m)), azimuth, (x**2 + y**2)))
         misfit, azimuth, size = min(found)
         if misfit < 0.02:

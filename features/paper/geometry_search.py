@@ -24,14 +24,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.records.record import Floats, array, record
 from boresight.simulator.campaign import CameraPair
 
-__all__ = [
-    "GeometrySearch",
-    "bound_of_frames",
-    "covariance_shapes",
-    "geometry_map",
-    "predicted_sigma",
-    "star_camera_rotation",
-]
+__all__ = ["GeometrySearch", "covariance_shapes", "geometry_map", "predicted_sigma", "star_camera_rotation"]
 
 # (2, 3) arcsec, about X, Y, Z: standard deviations of the paper's Fig. 7, and the rms of its Table 4.
 PAPER = np.array(
@@ -84,24 +77,16 @@ def covariance_shapes(cameras: CameraPair, spread: float = 1.0) -> tuple[Floats,
 def predicted_sigma(
     R_cs: Rotation,
     shapes: tuple[Floats, Floats],
-    noise_px2: tuple[float, float],
+    cells: Sequence[tuple[float, float]],
     stars: Floats,
     targets: Floats,
 ) -> Floats:
-    """1-sigma (..., 3) of theta about the axes of c, arcsec; `stars` and `targets` have shape (...)."""
-    C = R_cs.as_matrix()
-    of_star, of_target = np.diag(C @ shapes[0] @ C.T) * noise_px2[0], np.diag(shapes[1]) * noise_px2[1]
-    return np.sqrt(of_star / stars[..., None] + of_target / targets[..., None]) / ARCSEC
-
-
-def bound_of_frames(
-    cameras: CameraPair, cells: Sequence[tuple[float, float]], stars: float, targets: float
-) -> Floats:
-    """Cramér-Rao bound (3,) of theta, arcsec, rms over cells (sigma_s, sigma_c), px, of `stars` and `targets`
-    in all frames.
+    """1-sigma (..., 3) of theta about the axes of c, arcsec, rms over cells (sigma_s, sigma_c), px; `stars`
+    and `targets` in all frames have shape (...).
     """
-    shapes, numbers = covariance_shapes(cameras), (np.full(1, stars), np.full(1, targets))
-    return predicted_sigma(cameras.R_cs, shapes, _mean_noise(tuple(cells)), *numbers)[0]
+    C, (noise_s, noise_c) = R_cs.as_matrix(), np.mean(np.square(cells), axis=0)
+    of_star, of_target = np.diag(C @ shapes[0] @ C.T) * noise_s, np.diag(shapes[1]) * noise_c
+    return np.sqrt(of_star / stars[..., None] + of_target / targets[..., None]) / ARCSEC
 
 
 def geometry_map(cameras: CameraPair, search: GeometrySearch) -> pd.DataFrame:
@@ -133,7 +118,7 @@ def _best_numbers(
     for n, of_spread in enumerate(search.spread):
         shapes = covariance_shapes(cameras, float(of_spread))
         for k, cells in enumerate(_CELLS):
-            sigma[k, n] = predicted_sigma(R_cs, shapes, _mean_noise(cells), stars[n], targets[n])
+            sigma[k, n] = predicted_sigma(R_cs, shapes, cells, stars[n], targets[n])
     misfit = np.abs(np.log(sigma / PAPER[:, None, None, None, :])).max(axis=-1)
     few = (stars <= 400 * 60) & (targets <= 400 * 20)
     goals = {"figure7": misfit[0], "table4": misfit[1], "both": misfit.max(axis=0)}
@@ -159,12 +144,6 @@ def _per_direction(half_rad: Floats) -> Floats:
     u = np.stack([x, y, np.ones_like(x)], axis=-1).reshape(-1, 3)
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     return np.asarray(np.linalg.inv(np.eye(3) - u.T @ u / len(u)))
-
-
-def _mean_noise(cells: tuple[tuple[float, float], ...]) -> tuple[float, float]:
-    """Mean squares of sigma_s and sigma_c over cells, px²."""
-    of_stars, of_targets = np.mean(np.square(cells), axis=0)
-    return float(of_stars), float(of_targets)
 
 
 def _steps(first: float, last: float, number: int) -> Floats:

@@ -12,19 +12,14 @@ from scipy.spatial.transform import Rotation
 from boresight.features.paper.wang import attitudes_of
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.sightings import StripSightings
-from boresight.records.record import Floats, array, record, scalar
+from boresight.records.record import Floats, array, record
 
-__all__ = ["GroundErrors", "MotionPrior", "check_point_errors", "ground_errors", "smoothed_attitude"]
+__all__ = ["GroundErrors", "check_point_errors", "ground_errors", "smoothed_attitude"]
 
 
-@record
-class MotionPrior:
-    """Squared-exponential prior of the attitude's deviation from the nominal motion."""
-
-    sigma_rad: float = scalar(
-        "standard deviation per axis, rad; waves are 3 to 12 arcsec", default=10.0 * ARCSEC
-    )
-    length_s: float = scalar("correlation length, s", default=1.0)
+# Squared-exponential prior of the attitude's deviation from the nominal motion: its standard deviation for
+# each axis, where waves are 3 to 12 arcsec, and its correlation length (set by hand).
+MOTION_RAD, MOTION_S = 10.0 * ARCSEC, 1.0
 
 
 @record
@@ -40,7 +35,7 @@ class GroundErrors:
         return float(np.sqrt(np.mean(self.along_m**2))), float(np.sqrt(np.mean(self.across_m**2)))
 
 
-def smoothed_attitude(strip: StripSightings, prior: MotionPrior) -> Rotation:
+def smoothed_attitude(strip: StripSightings) -> Rotation:
     """R_si (J,) at the targets' instants, smoothed from all exposures of the strip."""
     R_si, covariance = attitudes_of(strip)
     times = strip.times_s
@@ -50,25 +45,22 @@ def smoothed_attitude(strip: StripSightings, prior: MotionPrior) -> Rotation:
     K = len(times)
     noise = np.zeros((K, 3, K, 3))
     noise[np.arange(K), :, np.arange(K)] = covariance
-    constant = 1e4 * prior.sigma_rad**2  # the mounting to the nominal frame is free
-    prior_tt = _kernel(times, times, prior) + constant
-    prior_jt = _kernel(strip.ground.t_s, times, prior) + constant
+    constant = 1e4 * MOTION_RAD**2  # the mounting to the nominal frame is free
+    prior_tt = _kernel(times, times) + constant
+    prior_jt = _kernel(strip.ground.t_s, times) + constant
     whole = np.kron(prior_tt, np.eye(3)) + noise.reshape(3 * K, 3 * K)
     smooth = (np.kron(prior_jt, np.eye(3)) @ np.linalg.solve(whole, angles.ravel())).reshape(-1, 3)
     return Rotation.from_rotvec(smooth) * middle * strip.R_oi_targets
 
 
-def ground_errors(
-    position_i: Floats, look_i: Floats, ground_i: Floats, up_i: Floats, velocity_i: Floats
-) -> GroundErrors:
-    """Errors at check points `ground_i` (J, 3) of rays from `position_i` along `look_i`, intersected with the
-    horizontal plane of each point.
+def ground_errors(look_i: Floats, to_ground_i: Floats, up_i: Floats, velocity_i: Floats) -> GroundErrors:
+    """Errors at check points, `to_ground_i` (J, 3) from the satellite, of rays along `look_i`, intersected
+    with the horizontal plane of each point.
 
     `up_i` (J, 3) is the local vertical, `velocity_i` (J, 3) gives the direction of the track. m, frame i.
     """
-    level = np.einsum("ja,ja->j", ground_i - position_i, up_i)
-    reach = level / np.einsum("ja,ja->j", look_i, up_i)
-    off = position_i + reach[:, None] * look_i - ground_i
+    reach = np.einsum("ja,ja->j", to_ground_i, up_i) / np.einsum("ja,ja->j", look_i, up_i)
+    off = reach[:, None] * look_i - to_ground_i
     along = velocity_i - np.einsum("ja,ja->j", velocity_i, up_i)[:, None] * up_i
     along /= np.linalg.norm(along, axis=1, keepdims=True)
     across = np.cross(along, up_i)
@@ -79,9 +71,8 @@ def check_point_errors(strip: StripSightings, look_i: Floats) -> GroundErrors:
     """Errors at the targets of a strip, as check points, of look vectors `look_i` (J, 3), frame i."""
     ground = strip.ground
     up_i = -strip.R_oi_targets.inv().apply([0.0, 0.0, 1.0])
-    to_target = ground.range_m[:, None] * ground.u_i
-    return ground_errors(np.zeros_like(to_target), look_i, to_target, up_i, ground.v_rel_i)
+    return ground_errors(look_i, ground.range_m[:, None] * ground.u_i, up_i, ground.v_rel_i)
 
 
-def _kernel(a: Floats, b: Floats, prior: MotionPrior) -> Floats:
-    return np.asarray(prior.sigma_rad**2 * np.exp(-0.5 * ((a[:, None] - b[None, :]) / prior.length_s) ** 2))
+def _kernel(a: Floats, b: Floats) -> Floats:
+    return np.asarray(MOTION_RAD**2 * np.exp(-0.5 * ((a[:, None] - b[None, :]) / MOTION_S) ** 2))

@@ -28,11 +28,11 @@ from boresight.features.paper.paper_tables import (
 from boresight.features.paper.tables import EXPERIMENTS, record_head, run_experiment
 from boresight.features.paper.vector_experiments import ExperimentSettings
 from boresight.pipeline.files.whole_file import write_text
+from boresight.pipeline.report.panels import AXES
 from boresight.records.record import record, scalar
 
 __all__ = ["CAPTIONS", "run_all", "verdict_of"]
 
-AXES = ("X", "Y", "Z")  # of frame c
 WITHIN = 1.25  # ratio of two errors, either way, that is called reproduced
 NEAR_INPUT = 0.1  # share of a printed input by which ours may differ
 SMALL_ARCSEC = 0.1  # what "tends to 0" is taken to mean in Figs. 5 and 6

@@ -11,7 +11,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -20,9 +19,9 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
-from boresight.features.paper.geometry_search import bound_of_frames
+from boresight.features.paper.geometry_search import covariance_shapes, predicted_sigma
 from boresight.features.paper.paper_tables import FIGURE_7_CELLS, FIGURE_7_SIGMA_ARCSEC, TABLE_4
-from boresight.features.paper.vector_experiments import ExperimentSettings
+from boresight.features.paper.vector_experiments import ExperimentSettings, Progress, unheard
 from boresight.features.paper.wang import attitudes_of
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
@@ -42,7 +41,6 @@ from boresight.simulator.campaign import unit
 
 __all__ = ["PixelSettings", "grid_from_pixels", "table4_from_pixels"]
 
-Progress = Callable[[int, int], None]
 
 # Changes of the mini scenario for the grid and Table 4: one strip of 1.1 s with a fourth of its pixels, eight
 # exposures, and none of Table 1's errors, as in the paper. Stars far above the noise, so that sigma_s is low.
@@ -85,7 +83,7 @@ class PixelSettings:
 
 def grid_from_pixels(
     settings: PixelSettings,
-    progress: Progress | None = None,
+    progress: Progress = unheard,
     cells: Sequence[tuple[float, float]] = FIGURE_7_CELLS,
 ) -> pd.DataFrame:
     """Long-form table of the whole grid, methods "pixels" and "vectors": each mission has a sky, a ground and
@@ -105,7 +103,7 @@ def grid_from_pixels(
 
 def table4_from_pixels(
     settings: PixelSettings,
-    progress: Progress | None = None,
+    progress: Progress = unheard,
     rows: Sequence[tuple[float, float]] = tuple(TABLE_4),
 ) -> pd.DataFrame:
     """Long-form table of Table 4, method "pixels", made as the grid is.
@@ -121,14 +119,15 @@ def table4_from_pixels(
 
 def _paper_bound(cells: Sequence[tuple[float, float]], frame: tuple[int, int]) -> Floats:
     """Bound (3,) of the paper's cameras over `cells`, arcsec, from 400 frames of (stars, targets)."""
-    return bound_of_frames(ExperimentSettings().cameras, cells, 400.0 * frame[0], 400.0 * frame[1])
+    cameras, numbers = ExperimentSettings().cameras, (np.full(1, 400.0 * n) for n in frame)
+    return predicted_sigma(cameras.R_cs, covariance_shapes(cameras), cells, *numbers)[0]
 
 
 def _cells_from_pixels(
     cells: Sequence[tuple[float, float]],
     settings: PixelSettings,
     numbers: tuple[int, int],
-    progress: Progress | None,
+    progress: Progress,
 ) -> pd.DataFrame:
     tables, (runs, redraws) = [], numbers
     for n, (sigma_s, sigma_c) in enumerate(cells):
@@ -139,16 +138,14 @@ def _cells_from_pixels(
         missions = [
             ((*row, f"orbit.longitude_deg={360.0 * k / runs - 180.0}"), first + k) for k in range(runs)
         ]
-        finished = partial(_finished, progress, n * runs, len(cells) * runs)
+
+        def finished(done: int, before: int = n * runs) -> None:
+            progress(before + done, len(cells) * runs)
+
         tables += [
             table.assign(row_s_px=sigma_s, row_c_px=sigma_c) for table in _cell(missions, finished, redraws)
         ]
     return pd.concat(tables, ignore_index=True)
-
-
-def _finished(progress: Progress | None, before: int, total: int, done: int) -> None:
-    if progress:
-        progress(before + done, total)
 
 
 def _cell(

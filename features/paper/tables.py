@@ -11,7 +11,6 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +25,7 @@ from boresight.features.paper.pixels import PixelSettings, grid_from_pixels, tab
 from boresight.features.paper.plots import PLOTS
 from boresight.features.paper.vector_experiments import (
     ExperimentSettings,
+    Progress,
     convergence_of_runs,
     figure4,
     figure8,
@@ -33,6 +33,7 @@ from boresight.features.paper.vector_experiments import (
     table4,
     table5,
     table5_readings,
+    unheard,
 )
 from boresight.geometry.geodesy import unit_vectors
 from boresight.pipeline.files.text_tables import table_csv
@@ -43,8 +44,6 @@ from boresight.star_id.catalogue import hipparcos_stars
 from boresight.version import version_text
 
 __all__ = ["EXPERIMENTS", "FROM_PIXELS", "hipparcos_fields", "record_head", "run_experiment"]
-
-Progress = Callable[[int, int], None]
 
 FAINTEST_V = 6.5  # about 55 stars in the field (docs/notes/paper.md)
 
@@ -64,7 +63,7 @@ FROM_PIXELS = ("grid", "table4")  # of them: those that can be run through rende
 
 
 def run_experiment(
-    name: str, out: Path, settings: ExperimentSettings | PixelSettings, progress: Progress | None = None
+    name: str, out: Path, settings: ExperimentSettings | PixelSettings, progress: Progress = unheard
 ) -> tuple[pd.DataFrame, list[Path]]:
     """Run one of `EXPERIMENTS`, with `PixelSettings` one of `FROM_PIXELS` through rendered images; its table,
     and the files written into `out`: `NAME.csv`, `NAME.png` and `NAME.txt`, or those of `NAME-pixels`.
@@ -84,7 +83,7 @@ def run_experiment(
 
 
 def _experiment_table(
-    name: str, settings: ExperimentSettings | PixelSettings, progress: Progress | None
+    name: str, settings: ExperimentSettings | PixelSettings, progress: Progress
 ) -> pd.DataFrame:
     if isinstance(settings, PixelSettings):
         return {"grid": grid_from_pixels, "table4": table4_from_pixels}[name](settings, progress)

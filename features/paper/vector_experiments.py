@@ -27,12 +27,7 @@ from boresight.features.paper.geometry_search import (
     predicted_sigma,
     star_camera_rotation,
 )
-from boresight.features.paper.geopositioning import (
-    GroundErrors,
-    MotionPrior,
-    check_point_errors,
-    smoothed_attitude,
-)
+from boresight.features.paper.geopositioning import GroundErrors, check_point_errors, smoothed_attitude
 from boresight.features.paper.paper_tables import (
     FIGURE_7_SIGMA_ARCSEC,
     FIGURES_5_6_Z_ARCSEC,
@@ -60,6 +55,7 @@ __all__ = [
     "NO_NUISANCES",
     "TABLE_1",
     "ExperimentSettings",
+    "Progress",
     "convergence_of_runs",
     "figure4",
     "figure8",
@@ -67,9 +63,15 @@ __all__ = [
     "table4",
     "table5",
     "table5_readings",
+    "unheard",
 ]
 
-Progress = Callable[[int, int], None]
+Progress = Callable[[int, int], None]  # done, in all
+
+
+def unheard(done: int, total: int) -> None:
+    """Progress that is not shown."""
+
 
 MATRIX_28 = (0.003, 0.002, 0.001)  # rad, the paper's (28) under its own (12) and (13)
 # 1-sigma errors of the paper's Table 1.
@@ -153,7 +155,7 @@ def convergence_of_runs(settings: ExperimentSettings) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def grid(settings: ExperimentSettings, progress: Progress | None = None) -> pd.DataFrame:
+def grid(settings: ExperimentSettings, progress: Progress = unheard) -> pd.DataFrame:
     """Figs. 7 and 9: the error over the grid of both cameras' noise, for the information form and Wang's
     method.
 
@@ -171,13 +173,12 @@ def grid(settings: ExperimentSettings, progress: Progress | None = None) -> pd.D
             paper = np.array(FIGURE_7_SIGMA_ARCSEC)
             tables.append(_long_form(runs, sigma_s, sigma_c, "information", n_frames, paper))
         tables += _strip_tables(settings, StripPlan().stars, sigma_s, sigma_c, (3, cell), paper_wang)
-        if progress:
-            progress(cell + 1, len(cells))
+        progress(cell + 1, len(cells))
     return pd.concat(tables, ignore_index=True)
 
 
 def table4(
-    settings: ExperimentSettings, star_fields: Sequence[Floats], progress: Progress | None = None
+    settings: ExperimentSettings, star_fields: Sequence[Floats], progress: Progress = unheard
 ) -> pd.DataFrame:
     """Table 4: rms error over many runs beside the paper's single draws, "information" from many frames.
 
@@ -191,13 +192,12 @@ def table4(
         runs = _frame_runs(settings, n_frames, star_fields, targets, (sigma_s, sigma_c), (4, cell))
         tables.append(_long_form(runs, sigma_s, sigma_c, "information", n_frames, np.abs(paper_own)))
         tables += _strip_tables(settings, 60, sigma_s, sigma_c, (5, cell), np.abs(paper_wang))
-        if progress:
-            progress(cell + 1, len(TABLE_4))
+        progress(cell + 1, len(TABLE_4))
     return pd.concat(tables, ignore_index=True)
 
 
 def table5(
-    settings: ExperimentSettings, progress: Progress | None = None, rows: Sequence[float] = tuple(TABLE_5)
+    settings: ExperimentSettings, progress: Progress = unheard, rows: Sequence[float] = tuple(TABLE_5)
 ) -> pd.DataFrame:
     """Table 5 and Fig. 10: geo-positioning at 20 check points per strip with every error of Table 1.
 
@@ -228,13 +228,12 @@ def table5(
             for axis, direction in enumerate(("along", "across")):
                 row = (0.3, sigma_s, method, direction, rms[axis], floor[axis], paper[places[axis]])
                 out.append((*row, settings.table5_runs, plan.targets * settings.table5_check_strips))
-        if progress:
-            progress(cell + 1, len(rows))
+        progress(cell + 1, len(rows))
     columns = "sigma_c_px sigma_s_px method direction rms_m floor_m paper_m runs check_points".split()
     return pd.DataFrame(out, columns=columns)
 
 
-def table5_readings(settings: ExperimentSettings, progress: Progress | None = None) -> pd.DataFrame:
+def table5_readings(settings: ExperimentSettings, progress: Progress = unheard) -> pd.DataFrame:
     """Table 5 under the paper's own reading: Wang's matrix from each single image, ours from all of them.
 
     Varied is what the paper leaves open: the order of Wang's polynomial, GPS errors constant over a strip or
@@ -260,8 +259,7 @@ def table5_readings(settings: ExperimentSettings, progress: Progress | None = No
         for (attitude, method, order), parts in found.items():
             for direction, rms in zip(("along", "across"), _rms(parts)):
                 rows.append((axis, gps, attitude, sigma_s, method, order, direction, rms))
-        if progress:
-            progress(cell + 1, 12)
+        progress(cell + 1, 12)
     return pd.DataFrame(rows, columns="axis gps attitude sigma_s_px method order direction rms_m".split())
 
 
@@ -278,7 +276,7 @@ def _one_matrix_per_image(
     ours = _estimated(strips[:n], R_cs0, stated).R_cs
     for k, strip in enumerate(strips[n:]):
         R_cs = {("ours", 0): ours} | {key: of_images[k] for key, of_images in matrices.items()}
-        readings = ("smoothed", smoothed_attitude(strip, MotionPrior())), ("exposure", _nearest(strip))
+        readings = ("smoothed", smoothed_attitude(strip)), ("exposure", _nearest(strip))
         for (attitude, R_si), (method, matrix) in product(readings, R_cs.items()):
             look_i = (matrix * R_si).inv().apply(strip.ground.u_c)
             yield (attitude, *method), check_point_errors(strip, look_i)
@@ -299,11 +297,8 @@ def figure4(settings: ExperimentSettings) -> pd.DataFrame:
     """
     t = np.arange(121) / 5.0  # s; Table 2: 5 Hz
     waves, rng = _waves(settings, t)
-    noise = (0.06**2, 0.0)
-    shapes = covariance_shapes(settings.cameras)
-    sigma = predicted_sigma(
-        settings.cameras.R_cs, shapes, noise, np.full(1, float(settings.stars)), np.ones(1)
-    )[0]
+    shapes, stars = covariance_shapes(settings.cameras), np.full(1, float(settings.stars))
+    sigma = predicted_sigma(settings.cameras.R_cs, shapes, [(0.06, 0.0)], stars, np.ones(1))[0]
     table = {
         "axis": np.repeat(ATTITUDE_AXES, len(t)),
         "t_s": np.tile(t, 3),
@@ -432,7 +427,7 @@ def _check_points(
     }
     for place in range(n, len(strips)):
         strip = strips[place]
-        R_si = smoothed_attitude(strip, MotionPrior())
+        R_si = smoothed_attitude(strip)
         for method, matrix in R_cs.items():
             yield method, check_point_errors(strip, (matrix * R_si).inv().apply(strip.ground.u_c))
         yield "floor", check_point_errors(strip, truth.R_ci[place].inv().apply(truth.look_c[place]))

@@ -303,7 +303,7 @@ def _strip(
     if len(star) < 2:
         return None, (len(star), n_head)
     u_c = _attitude(R_ci, rate, t).apply(u_i[star])
-    stars = GroundSightings(
+    stars = GroundSightings.of_stars(
         target_id=np.array(
             [f"{name}/HIP {hip}/{c}" for hip, c in zip(known.places.hip[star], ccd)], dtype=str
         ),
@@ -313,11 +313,7 @@ def _strip(
         u_c=u_c,
         u_i=u_i[star],
         cov_c=isotropic_covariance(u_c, settings.star_sigma_px * cameras.line.pixel_rad),
-        range_m=np.full(len(star), np.inf),
-        v_rel_i=np.zeros((len(star), 3)),
         cov_target_i=isotropic_covariance(u_i[star], known.sigma_at_rad(year)[star]),
-        earth_i=np.zeros((len(star), 3, 3)),
-        light_i=np.zeros((len(star), 3, 4)),
     )
     R_c = _attitude(R_ci, rate, t_stars)
     strip = StripSightings(

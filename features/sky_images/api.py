@@ -34,7 +34,7 @@ from boresight.accepted import (
 from boresight.display import Result, SuccessfulResult, axes_or_new
 from boresight.features.sky_images.centroid_lists import are_centroids, star_list_of
 from boresight.features.sky_images.frame_facts import observer_at
-from boresight.features.sky_images.identify_images import bound_words, departure, misshapen_in, sky_index
+from boresight.features.sky_images.identify_images import bound_words, departure, sky_index
 from boresight.features.sky_images.image_time import with_error_of_focus
 from boresight.features.sky_images.overlay import named_sky
 from boresight.features.sky_images.planets import planets_in_view
@@ -395,8 +395,7 @@ class StarSolution(SuccessfulResult):
             )
         planets = () if self.observer is None else planets_in_view(self.field, self.observer)
         seen = np.nan_to_num(pixels[:, ::-1] if self.mirrored else pixels)
-        no_stars = np.zeros((0, 2)) if self.field.stars is None else misshapen_in(seen, self.field.stars)
-        picture = named_sky(seen, self.field, planets, no_stars)
+        picture = named_sky(seen, self.field, planets)
 
         def sky_of(xy_px: Floats) -> Floats:
             place = self.pixel_to_sky(self._as_mirrored(xy_px))

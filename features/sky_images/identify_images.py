@@ -241,8 +241,7 @@ def _draw(
 
     if found.mirrored:
         image = image[:, ::-1]
-    no_stars = np.zeros((0, 2)) if found.stars is None else misshapen_in(image, found.stars)
-    picture = named_sky(image, found, planets, no_stars)
+    picture = named_sky(image, found, planets)
     if not cv2.imwrite(str(path), picture[:, :, ::-1]):
         raise RawDataError(str(path), "overlay", "could not be written", "the name of a PNG file in a folder")
 

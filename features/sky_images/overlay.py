@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from boresight.features.sky_images.identify_images import misshapen_in
 from boresight.features.sky_images.planets import Planet
 from boresight.pipeline.report.marks import mark_boxes, place_labels
 from boresight.pipeline.report.star_preview import sky_stretch
@@ -82,19 +83,26 @@ _NO_STAR = _Kind("×", "no star", (255, 90, 90), (np.array([(-1, -1), (1, 1)]), 
 _PLANET = _Kind("◇", "planets", (225, 150, 255), (np.array([(1, 0), (0, 1), (-1, 0), (0, -1), (1, 0)]),))
 
 
-def named_sky(
-    image: NDArray[Any], found: FieldSolution, planets: Sequence[Planet], no_stars_px: Floats
-) -> NDArray[np.uint8]:
+def named_sky(image: NDArray[Any], found: FieldSolution, planets: Sequence[Planet]) -> NDArray[np.uint8]:
     """The image (H, W) as RGB (H, W, 3) with marks and labels, of its own size; a small one enlarged by a
-    whole number.
-
-    `no_stars_px` (M, 2) are the detections of no star's shape. A mirror image must be reversed already.
+    whole number. A mirror image must be reversed already.
     """
     larger = -(-LEAST_PX // max(image.shape))
     letters = max(SMALLEST_LETTERS_PX, round(LETTERS * larger * max(image.shape)))
     thick = max(1, round(letters / 11))
     v_mag = _magnitudes(found.hip)
-    marks = _marks(found, planets, no_stars_px, v_mag, letters, larger)
+    assert found.stars is not None  # `solve_list` gives it
+    others = np.delete(found.stars.xy_px, found.detections, axis=0)
+    no_stars = misshapen_in(image, found.stars)
+    at_planets = np.array([(p.x_px, p.y_px) for p in planets]).reshape(-1, 2)
+    rings = letters * np.maximum(RING - RING_OF_MAGNITUDE * v_mag, SMALLEST_RING)
+    half = OTHER * letters
+    marks = (  # those of identified stars first
+        _Marks(_STAR, _enlarged(found.xy_px, larger), rings),
+        _Marks(_DETECTION, _enlarged(others, larger), np.full(len(others), half)),
+        _Marks(_NO_STAR, _enlarged(no_stars, larger), np.full(len(no_stars), half)),
+        _Marks(_PLANET, _enlarged(at_planets, larger), np.full(len(at_planets), 2.0 * half)),
+    )
     grey = 255.0 * BRIGHTNESS * sky_stretch(image.astype(np.float32))
     whole = grey.astype(np.uint8).repeat(larger, axis=0).repeat(larger, axis=1)
     picture = np.repeat(whole[:, :, None], 3, axis=2)
@@ -111,28 +119,6 @@ def _magnitudes(hip: NDArray[np.integer]) -> Floats:
     """V (N,) of stars of the catalogue."""
     places = hipparcos_stars().places
     return np.asarray(places.v_mag[np.searchsorted(places.hip, hip)])
-
-
-def _marks(
-    found: FieldSolution,
-    planets: Sequence[Planet],
-    no_stars_px: Floats,
-    v_mag: Floats,
-    letters: int,
-    larger: int,
-) -> tuple[_Marks, ...]:
-    """All marks, those of identified stars first."""
-    rings = letters * np.maximum(RING - RING_OF_MAGNITUDE * v_mag, SMALLEST_RING)
-    others = np.zeros((0, 2)) if found.stars is None else found.stars.xy_px
-    others = np.delete(others, found.detections, axis=0)
-    at_planets = np.array([(p.x_px, p.y_px) for p in planets]).reshape(-1, 2)
-    half = OTHER * letters
-    return (
-        _Marks(_STAR, _enlarged(found.xy_px, larger), rings),
-        _Marks(_DETECTION, _enlarged(others, larger), np.full(len(others), half)),
-        _Marks(_NO_STAR, _enlarged(no_stars_px, larger), np.full(len(no_stars_px), half)),
-        _Marks(_PLANET, _enlarged(at_planets, larger), np.full(len(at_planets), 2.0 * half)),
-    )
 
 
 def _enlarged(xy_px: Floats, larger: int) -> Floats:

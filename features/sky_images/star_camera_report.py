@@ -12,6 +12,7 @@ import numpy as np
 import tomlkit
 from numpy.typing import NDArray
 
+from boresight.accepted import counted
 from boresight.features.sky_images.frame_facts import SkyImage, open_sky_images
 from boresight.features.sky_images.identify_images import (
     EPOCH_ERROR_YEARS,
@@ -83,8 +84,7 @@ def calibrate_from_images(
             timeless[0], "time", "none", "a time of each image: --times, or a dump's exposures"
         )
     frames, read, unread = [], None, list(sky.omitted)
-    for number, one in enumerate(sky.images):
-        progress("star images", number, len(sky.images))
+    for one in counted(sky.images, "star images", progress):
         try:
             image = _image(one, given, request.camera_file, read)
         except RawDataError as error:
@@ -94,7 +94,6 @@ def calibrate_from_images(
         full = settings.saturation_dn or (None if one.bit_depth is None else 2.0**one.bit_depth - 1.0)
         stars = list_stars(image, replace(settings, saturation_dn=full))
         frames.append(SkyFrame(one.name, stars, one.observer))
-    progress("star images", len(sky.images), len(sky.images))
     unused = [f"{name} not used: {reason}" for name, reason in unread]
     if read is None:
         return [*unused, "not calibrated: no image could be read"], False

@@ -16,14 +16,13 @@ from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.line_camera import end_looks
 from boresight.geometry.pushbroom import outline_deg
-from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.diagnosis.missing import wrong_convention
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.coordinate_slips import contradiction
 from boresight.pipeline.files.dump import Dump, dump_or_faults
 from boresight.pipeline.files.repeats import targets_once
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes, StarImages
-from boresight.pipeline.files.terrain_files import surface_of
+from boresight.pipeline.files.terrain_files import mean_level, surface_of
 from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings, calibration_settings
@@ -280,7 +279,7 @@ class StripView:
     @classmethod
     def of(cls, dump: Dump, task: StripTask) -> StripView:
         """That of a task, in the middle of its strip."""
-        model, height = pushbroom_of(task), _mean_height(dump)
+        model, height = pushbroom_of(task), mean_level(dump.terrain)
         camera, ccds = model.camera, sorted(task.strip.ccd_lines)
         middle = 0.5 * task.strip.ccd_lines[ccds[0]]
         ends = np.concatenate(
@@ -367,12 +366,8 @@ def _outlines(dump: Dump, tasks: Sequence[StripTask]) -> dict[str, Floats]:
     """Footprints (N, 2) of strips, longitude and latitude, degrees, at the mean height of the terrain."""
     if not tasks:
         return {}
-    height = _mean_height(dump)
+    height = mean_level(dump.terrain)
     return {t.strip.strip_id: outline_deg(pushbroom_of(t), t.strip.ccd_lines, height) for t in tasks}
-
-
-def _mean_height(dump: Dump) -> ConstantHeight:
-    return ConstantHeight(float(np.mean(surface_of(dump.terrain).height_range_m())))
 
 
 def _target(

@@ -91,7 +91,7 @@ def strips_of_frames(frames: VectorSets) -> list[StripSightings]:
         own = slice(*frames.target_start[k : k + 2].tolist())
         if not (J := own.stop - own.start):
             continue
-        targets = GroundSightings(
+        targets = GroundSightings.of_stars(
             target_id=ids[own],
             ccd=np.zeros(J, dtype=np.int64),
             xy_px=np.column_stack([np.arange(J), np.zeros(J)]).astype(float),
@@ -99,11 +99,7 @@ def strips_of_frames(frames: VectorSets) -> list[StripSightings]:
             u_c=frames.w_c[own],
             u_i=frames.v_targets[own],
             cov_c=cov_c[own],
-            range_m=np.full(J, np.inf),
-            v_rel_i=np.zeros((J, 3)),
             cov_target_i=np.zeros((J, 3, 3)) if frames.cov_targets is None else frames.cov_targets[own],
-            earth_i=np.zeros((J, 3, 3)),
-            light_i=np.zeros((J, 3, 4)),
         )
         strips.append(
             StripSightings(

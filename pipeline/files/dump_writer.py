@@ -81,7 +81,7 @@ def _head(mission: Mission, created_by: str) -> dict[str, Any]:
     errors, terrain = mission.errors, mission.terrain
     of_ground = {"targets": "targets.csv", "terrain": "terrain/dem.tif"} if terrain is not None else {}
     of_ccds = dict(zip(("look_ccd_shift_px", "look_ccd_slope_px", "look_ccd_bend_px"), errors.look_ccd_px))
-    heights = {"height_kind": terrain.height_kind, "sigma_m": terrain.sigma_m} if terrain is not None else {}
+    heights = {"height_kind": "egm96", "sigma_m": terrain.sigma_m} if terrain is not None else {}
     return {
         **head_of_dump(mission.scenario.name, created_by),
         "files": FILES | of_ground,
@@ -100,7 +100,7 @@ def _head(mission: Mission, created_by: str) -> dict[str, Any]:
 def _oem(mission: Mission, orbit: OrbitReport) -> str:
     return orbit_message(
         mission.scenario.name,
-        orbit.frame,
+        "ITRF",
         ("lagrange", INTERPOLATION_DEGREE),
         mission.epoch.utc_from_seconds(orbit.t_s),
         orbit.positions_m,
@@ -170,7 +170,7 @@ def _write_chip(path: Path, chip: ChipImage) -> None:
 
 def _write_terrain(path: Path, terrain: TerrainReport) -> None:
     centimetres = np.round(np.asarray(terrain.heights_m, dtype=float), 2).astype(np.float32)
-    place = {"crs": f"EPSG:{terrain.epsg}", "transform": Affine(*terrain.affine), "nodata": -32768.0}
+    place = {"crs": "EPSG:4326", "transform": Affine(*terrain.affine), "nodata": -32768.0}
     write_tiff(path, centimetres, **place, zlevel=9, predictor=3)
 
 

@@ -11,13 +11,13 @@ from scipy.spatial import cKDTree
 
 from boresight.geometry.geodesy import unit_vectors
 from boresight.geometry.geoid import egm96
-from boresight.geometry.terrain import Raster, Surface, TerrainGrid, TerrainTiles, joined
+from boresight.geometry.terrain import ConstantHeight, Raster, Surface, TerrainGrid, TerrainTiles, joined
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import Identity, identity_of
 from boresight.pipeline.files.images.rasters import read_grid
 from boresight.records.record import Floats, array, record
 
-__all__ = ["NO_TERRAIN", "TargetHeights", "TerrainFiles", "surface_of"]
+__all__ = ["NO_TERRAIN", "TargetHeights", "TerrainFiles", "mean_level", "surface_of"]
 
 # Most pixels of a terrain model; of single precision they take 256 MiB.
 MAX_TERRAIN_PIXELS = 8192 * 8192
@@ -62,11 +62,20 @@ class TerrainFiles:
     height_kind: str
 
 
-def surface_of(terrain: TerrainFiles | TargetHeights) -> Surface:
-    """The surface of the Earth. A terrain file is read once in each process, as long as it stays the same."""
+def surface_of(terrain: TerrainFiles | TargetHeights, height_m: float | None = None) -> Surface:
+    """The surface of the Earth, or one of a height that is given instead. A terrain file is read once in each
+    process, as long as it stays the same.
+    """
+    if height_m is not None:
+        return ConstantHeight(height_m)
     if isinstance(terrain, TargetHeights):
         return terrain
     return _read_terrain(terrain, tuple(map(identity_of, terrain.paths)))
+
+
+def mean_level(terrain: TerrainFiles | TargetHeights) -> ConstantHeight:
+    """Level ground midway between the lowest and the highest point of the surface."""
+    return ConstantHeight(float(np.mean(surface_of(terrain).height_range_m())))
 
 
 @lru_cache(maxsize=1)

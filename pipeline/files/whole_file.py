@@ -113,9 +113,9 @@ def _host() -> str:
     return f"{zlib.crc32(platform.node().encode()):08x}"
 
 
-def json_text(content: Any) -> str:
+def json_text(content: Any, indent: int = 2) -> str:
     """`content` as JSON text; null stands for what is not finite, and a NumPy array becomes a list."""
-    return json.dumps(_finite(content), indent=2, allow_nan=False)
+    return json.dumps(_finite(content), indent=indent, allow_nan=False)
 
 
 def _finite(content: Any) -> Any:

@@ -17,7 +17,7 @@ from boresight.geometry.sightings import GroundSightings, StripSightings
 from boresight.pipeline.forecast.accuracy import Forecast, forecast_from_strips
 from boresight.records.record import Floats, array, record, scalar
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_sky_strips, draw_strips
-from boresight.simulator.head_attitudes import with_gyro
+from boresight.simulator.drawn_gyro import with_gyro
 
 __all__ = [
     "PLAN_DRAWS",

@@ -134,7 +134,7 @@ def _check(
             without += len(here)
             continue
         track = attitude_track(result, dump, near)
-        model = pushbroom_with(track, strips[strip_id], dump, R_cs, dump.light)
+        model = pushbroom_with(track, strips[strip_id], dump, R_cs)
         seen = _with_attitude(here, model, track)
         without += len(here) - len(seen)
         if not seen:

@@ -230,7 +230,7 @@ def sky_sightings(task: SkyTask, named: NamedStars) -> GroundSightings:
     p_i, v_i = task.orbit.states_i(t_s)
     u_i: Floats = apparent_star_directions(named.places.places, task.epoch, t_s, p_i, v_i)
     sigma = named.places.sigma_at_rad(float(task.epoch.julian_year(t_s[0]))) if J else np.zeros(0)
-    return GroundSightings(
+    return GroundSightings.of_stars(
         target_id=named.names,
         ccd=found.ccd,
         xy_px=found.xy_px,
@@ -238,11 +238,7 @@ def sky_sightings(task: SkyTask, named: NamedStars) -> GroundSightings:
         u_c=u_c,
         u_i=u_i,
         cov_c=jacobian @ found.cov_px @ np.swapaxes(jacobian, 1, 2),
-        range_m=np.full(J, np.inf),
-        v_rel_i=np.zeros((J, 3)),
         cov_target_i=isotropic_covariance(u_i, sigma),
-        earth_i=np.zeros((len(u_i), 3, 3)),
-        light_i=np.zeros((len(u_i), 3, 4)),
     )
 
 

@@ -11,7 +11,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.gyro import GyroNoise
 from boresight.geometry.installation import theta_between
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
-from boresight.simulator.head_attitudes import with_gyro
+from boresight.simulator.drawn_gyro import with_gyro
 
 CAMERAS = CameraPair(installation_by_tilt(np.radians(15.0), np.radians(37.0)))
 R_CS0 = Rotation.from_rotvec([3e-3, 2e-3, 1e-3]) * CAMERAS.R_cs

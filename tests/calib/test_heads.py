@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 from drawn_campaigns import assert_chi_square, nees_of_estimate, squared
+from drawn_heads import HeadPlan, with_heads
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -20,7 +21,6 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
 from boresight.geometry.sightings import StripSightings
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
-from boresight.simulator.head_attitudes import HeadPlan, with_heads
 
 R_A = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
 R_B = Rotation.from_euler("xyz", [-75.0, 20.0, 35.0], degrees=True)

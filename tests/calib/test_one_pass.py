@@ -7,7 +7,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from drawn_campaigns import BOLD, CAMERAS, TABLE_1, assert_chi_square, nees_of_estimate
+from drawn_campaigns import BOLD, CAMERAS, TABLE_1, assert_chi_square, draw_other_camera, nees_of_estimate
+from drawn_heads import HeadPlan, with_heads
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -28,14 +29,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
 from boresight.geometry.sightings import GroundReferences, HeadAttitudes, StripSightings, VectorSets
 from boresight.records.record import Floats, Ints
-from boresight.simulator.campaign import (
-    CameraPair,
-    draw_frames,
-    draw_other_camera,
-    draw_sky_strips,
-    draw_strips,
-)
-from boresight.simulator.head_attitudes import HeadPlan, with_heads
+from boresight.simulator.campaign import CameraPair, draw_frames, draw_sky_strips, draw_strips
 
 SECOND = Rotation.from_euler("xyz", [-35.0, 20.0, 110.0], degrees=True)
 PLAN = replace(TABLE_1, strips=3, exposures=8, exposure_margin_s=0.3, targets=14, sigma_target_m=0.3)

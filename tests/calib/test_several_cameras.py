@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from drawn_campaigns import TABLE_1, assert_chi_square, squared
+from drawn_campaigns import TABLE_1, assert_chi_square, draw_other_camera, squared
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -18,7 +18,7 @@ from boresight.calib.verdict import Outcome, Verdict, assess
 from boresight.geometry.installation import theta_between
 from boresight.geometry.sightings import StripSightings
 from boresight.records.ledger import Subject
-from boresight.simulator.campaign import CameraPair, StripPlan, draw_other_camera, draw_strips
+from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 NADIR = CameraPair(Rotation.from_euler("xyz", [40, -65, 110], degrees=True))
 # A second camera with a third of the field, twice as large pixels, and axes of its own.

@@ -5,6 +5,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from drawn_heads import HeadPlan
 from scipy.spatial.transform import Rotation
 from test_heads import NOISE_A, NOISE_B, R_A, R_B, SHAKEN, seen_by
 
@@ -16,7 +17,6 @@ from boresight.geometry.installation import theta_between
 from boresight.geometry.sightings import StripSightings
 from boresight.records.record import Floats
 from boresight.simulator.campaign import StripPlan
-from boresight.simulator.head_attitudes import HeadPlan
 
 PLAN = StripPlan(strips=4, sigma_position_m=2.0, sigma_clock_s=1e-4, sigma_vibration_rad=0.1 * ARCSEC)
 SETTINGS = CalibrationSettings(robust=False)

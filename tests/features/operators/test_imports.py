@@ -1,5 +1,7 @@
 """Dumps made of operators' files give the same places as the operators' models, through the dump's reader."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import rasterio
@@ -62,7 +64,7 @@ def test_places_of_an_imported_datastrip_are_the_operators(sentinel2):
     ours = model_of(dump)
     sample, line = np.array([0.0, 7.5, 23.0]), np.array([0.0, 1000.2, 4607.0])
     for ccd in (0, 1):
-        theirs = operator_pushbroom(strip, ccd, orbit, refined=False)
+        theirs = operator_pushbroom(replace(strip, refining=None), ccd, orbit)
         expected = theirs.ground_points(ccd, sample, line, ConstantHeight(100.0))
         found = ours.ground_points(ccd, sample, line, ConstantHeight(100.0))
         assert np.isfinite(expected).all()

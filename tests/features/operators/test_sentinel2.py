@@ -57,7 +57,8 @@ def test_pixels_of_a_real_datastrip_lie_where_its_operator_puts_them(interpolati
     orbit = operator_orbit(strip, operator_table())
     grid = np.loadtxt(REAL / "grid_B04.csv", delimiter=",", skiprows=1, usecols=(1, 3, 4, 5, 6, 7))[::10]
     for detector in range(1, 13):
-        push = operator_pushbroom(strip, detector - 1, orbit, interpolation=interpolation)
+        push = operator_pushbroom(strip, detector - 1, orbit)
+        push = replace(push, attitude=replace(push.attitude, interpolation=interpolation))
         for _, line, sample, lon, lat, height in grid[grid[:, 0] == detector]:
             ours = push.ground_points(detector - 1, [sample], [line - 1.0], ConstantHeight(height))
             there = ecef_from_geodetic(np.radians(lat), np.radians(lon), height, WGS84)
@@ -234,7 +235,7 @@ def test_the_operators_refining_of_a_real_datastrip_is_found_again():
     v_s, u_c, t_s = [], [], []
     for detector in (2, 11):
         rows = grid[grid[:, 0] == detector]
-        push = operator_pushbroom(strip, detector - 1, orbit, refined=False)
+        push = operator_pushbroom(replace(strip, refining=None), detector - 1, orbit)
         t = push.instants(rows[:, 1] - 1.0)
         p_e = ecef_from_geodetic(np.radians(rows[:, 4]), np.radians(rows[:, 3]), rows[:, 5], WGS84)
         u_i, _ = apparent_ground_directions(p_e, t, orbit, orbit.earth, push.effects)

@@ -12,11 +12,11 @@ import numpy as np
 import scipy.linalg
 from scipy.spatial.transform import Rotation
 from strips import R_CS, strip
+from ten_steps import frame_information_literally
 
 from boresight.calib.information import solve_total
 from boresight.features.exports.virtual_ccd import virtual_camera
 from boresight.features.paper.frames import calibrate_frames, frame_pairs, prepare_frames
-from boresight.features.paper.ten_steps import frame_information_literally
 from boresight.geometry.attitude_estimate import fit_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between

@@ -23,8 +23,8 @@ def test_closed_form_equals_the_estimator_s_covariance(zenith, azimuth, roll):
     cameras = CameraPair(star_camera_rotation(zenith, azimuth, roll))
     frames = draw_frames(200, 60, 40, 0.07, 0.5, cameras, np.random.default_rng(5))
     stated = np.sqrt(np.diag(calibrate_frames(frames, cameras.R_cs).solution.covariance)) / ARCSEC
-    noise, numbers = (0.07**2, 0.5**2), np.array([200.0 * 60, 200.0 * 40])
-    found = predicted_sigma(cameras.R_cs, covariance_shapes(cameras), noise, *numbers[:, None])[0]
+    cells, numbers = [(0.07, 0.5)], np.array([200.0 * 60, 200.0 * 40])
+    found = predicted_sigma(cameras.R_cs, covariance_shapes(cameras), cells, *numbers[:, None])[0]
     # a frame's 60 stars and 40 targets fill fields unevenly
     np.testing.assert_allclose(found, stated, rtol=0.03)
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from drawn_campaigns import BOLD
+from ten_steps import frame_information_literally
 
 from boresight.features.paper.frames import calibrate_frames, frame_pairs, prepare_frames
-from boresight.features.paper.ten_steps import frame_information_literally
 from boresight.geometry.constants import ARCSEC
 from boresight.simulator.campaign import CameraPair, draw_frames
 

@@ -44,7 +44,7 @@ from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.several_dumps import _check_nothing_twice, dump_names, open_dumps
 from boresight.records.ledger import Entry, Kind, Reason, Subject
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
-from boresight.simulator.head_attitudes import with_gyro
+from boresight.simulator.drawn_gyro import with_gyro
 
 NAMES = ["november", "a-little-later", "january"]  # in the order of time; not that of the alphabet
 

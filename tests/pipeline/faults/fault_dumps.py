@@ -21,13 +21,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from drawn_heads import correlated_noise
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
 from boresight.pipeline.files.text_tables import write_csv, write_toml
-from boresight.simulator.head_attitudes import correlated_noise
 from boresight.simulator.mission_records import Mission, TruePoint
 from boresight.simulator.scenario import Scenario, SkyScan, builtin_scenario
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.signal
+from drawn_heads import correlated_noise
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from two_trackers import ARCSEC, CORRELATED, R_SH, ROWS, STEP, WHITE, T, errors, tracks
@@ -22,7 +23,6 @@ from boresight.pipeline.head_noise.spectrum import (
     pieces_of,
 )
 from boresight.pipeline.head_noise.tracks import SMOOTHING_S, HeadTrack, carried_to, common_instants
-from boresight.simulator.head_attitudes import correlated_noise
 
 
 def test_noise_of_two_heads_is_recovered_from_their_differences() -> None:
