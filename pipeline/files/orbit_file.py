@@ -172,7 +172,7 @@ def _ephemeris(meta: _Keywords, times: list[str], values: Floats, file: str) -> 
     frame, R = _frame(meta, epoch, t_s, file)
     method, degree = _method(meta, file), _degree(meta, file)
     positions, velocities = R.apply(1e3 * values[:, :3]), R.apply(1e3 * values[:, 3:])
-    check_states(t_s, positions, velocities, file, degree + 1 if method == "lagrange" else degree // 2 + 1)
+    check_states(t_s, positions, file, degree + 1 if method == "lagrange" else degree // 2 + 1)
     return Ephemeris(
         epoch=epoch,
         t_s=t_s,
@@ -333,11 +333,9 @@ def _frame(meta: _Keywords, epoch: Epoch, t_s: Floats, file: str) -> tuple[Liter
 
 def _method(meta: _Keywords, file: str) -> Literal["lagrange", "hermite"]:
     method = meta.values.get("INTERPOLATION", "LAGRANGE").upper()
-    if method == "LAGRANGE":
-        return "lagrange"
-    if method == "HERMITE":
-        return "hermite"
-    raise meta.error("INTERPOLATION", method, "LAGRANGE or HERMITE", file)
+    if method not in ("LAGRANGE", "HERMITE"):
+        raise meta.error("INTERPOLATION", method, "LAGRANGE or HERMITE", file)
+    return "lagrange" if method == "LAGRANGE" else "hermite"
 
 
 def _degree(meta: _Keywords, file: str) -> int:
@@ -402,7 +400,7 @@ def check_components(values: Floats, file: str) -> None:
             raise RawDataError(file, f"state {bad[0] + 1}, {name}", str(numbers[bad[0]]), expected)
 
 
-def check_states(t_s: Floats, positions: Floats, velocities: Floats, file: str, least: int = 8) -> None:
+def check_states(t_s: Floats, positions: Floats, file: str, least: int = 8) -> None:
     """`RawDataError` for too few states, times (N,) not increasing, positions (N, 3), m, of no orbit."""
     if len(t_s) < max(least, 2):
         raise RawDataError(file, "states", str(len(t_s)), f"at least {max(least, 2)}")
