@@ -204,9 +204,7 @@ def open_dump(
         return root
     views = open_cameras(root, allow_stale_eop=allow_stale_eop, sky_alone=sky_alone)
     names = [one.camera for one in views]
-    if len(views) > 1 and camera is None and sky_alone:
-        return views[0]
-    if camera is None and len(views) == 1:
+    if camera is None and (sky_alone or len(views) == 1):
         return views[0]
     if camera not in names:
         expected = f"one of {', '.join(names)}" if names[0] else "none: the dump has one camera"
