@@ -283,7 +283,7 @@ def _view(parts: DumpParts, camera: str) -> Dump:
             "targets": len(surveyed.targets),
             "points": sum(len(m.ccd) for m in parts.listed_points[0] if m.strip_id not in others),
             "strips": len(every_strip) - len(others) + sum(e.subject.kind is Kind.STRIP for e in unreadable),
-            "exposures": parts.listed_heads[0].n_exposures if of_images else 0,
+            "exposures": len(parts.listed_heads[0].t_s) if of_images else 0,
         },
     )
 

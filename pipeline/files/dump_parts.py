@@ -272,15 +272,9 @@ class DumpParts:
     def _exposed(self) -> tuple[Floats, str]:
         """Instants of all exposures and attitudes, and the file of the first."""
         heads = self.heads[0]
-        of_head = [
-            head.source.rows.t_s
-            if isinstance(head.source, SolvedAttitudes)
-            else np.array([exposure.t_s for exposure in head.source.exposures])
-            for head in heads
-        ]
         first = heads[0].source
         file = first.file if isinstance(first, SolvedAttitudes) else self.head.files.exposures
-        return np.concatenate(of_head), file or f"exposures of {heads[0].name}"
+        return np.concatenate([head.t_s for head in heads]), file or f"exposures of {heads[0].name}"
 
 
 def _spans(strips: Sequence[Strip]) -> list[Span]:

@@ -158,10 +158,11 @@ class Head:
         return None if self.gyro is None else self.gyro.around(t_s, nominal)
 
     @property
-    def n_exposures(self) -> int:
-        """Number of exposures, or of attitudes."""
-        source = self.source
-        return len(source.rows.t_s if isinstance(source, SolvedAttitudes) else source.exposures)
+    def t_s(self) -> Floats:
+        """Instants (K,) of its exposures, or attitudes, TAI seconds since the dump's epoch."""
+        if isinstance(self.source, SolvedAttitudes):
+            return self.source.rows.t_s
+        return np.array([exposure.t_s for exposure in self.source.exposures])
 
 
 def open_heads(

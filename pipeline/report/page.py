@@ -251,7 +251,7 @@ def write_no_result(result: Path, dump: Dump, error: DataNotSufficientError) -> 
     every = (*dump.strips, *dump.sky_strips)
     begin = min(strip.t_first_row_s for strip in every)
     end = max(strip.t_first_row_s + strip.lines * strip.row_period_s for strip in every)
-    exposures = sum(head.n_exposures for head in dump.heads)
+    exposures = sum(len(head.t_s) for head in dump.heads)
     rows = [entry.row for entry in error.omissions]
     text = template("no_result.html.j2").render(
         mission=dump.mission,
