@@ -37,8 +37,8 @@ class Feature:
     folder: str  # of its modules, below `boresight`
     commands: tuple[Command, ...]
     groups: dict[str, str] = field(default_factory=dict)  # first word of two, and its line in the help
-    # Functions, "module:function" below `boresight`: of a joint result's folder and the names of its dumps, lines
-    # for the console; of finished results' folders and that of an archive, to which it adds them.
+    # Functions, "module:function" below `boresight`: of a joint result's folder and the names of its dumps it
+    # returns lines for the console; of finished results' folders and that of an archive, it adds them there.
     after_joint: str = ""
     to_archive: str = ""
 
