@@ -34,7 +34,7 @@ from boresight.pipeline.files.acm_text import (
 from boresight.pipeline.files.orbit_file import SAME_FRAME, calendar_date, check_time_system, tai_seconds
 from boresight.pipeline.files.text_files import MAX_ROWS, check_number, csv_rows, read_message
 from boresight.pipeline.files.xml_files import xml_root
-from boresight.records.record import Bools, Floats, array, record, scalar
+from boresight.records.record import Floats, RowRecord, array, record, scalar
 
 __all__ = ["COMPONENTS", "COVARIANCES", "SIGMAS", "AttitudeRows", "check_rows", "read_attitudes"]
 
@@ -57,11 +57,11 @@ EXPECTED = "an attitude message that follows CCSDS 504.0-B, or a CSV file"  # wh
 
 
 @record(kw_only=True)
-class AttitudeRows:
+class AttitudeRows(RowRecord):
     """Attitudes as a file has them, rows marked invalid left out."""
 
     t_s: Floats = array("N", "TAI seconds since the dump's epoch, strictly increasing")
-    R_si: Rotation = scalar("(N,) GCRS to star camera, aberration as the head has it")
+    R_si: Rotation = array("N", "GCRS to star camera, aberration as the head has it")
     covariance_s: Floats | None = array("N, 3, 3", "rad², axes of s; None: not stated", default=None)
     temperature_c: Floats | None = array("N", "of the head, degrees Celsius; None: not stated", default=None)
     n_invalid: int = scalar("rows marked invalid", default=0)
@@ -79,12 +79,6 @@ class AttitudeRows:
             raise RawDataError(file, "times", str(error), expected) from error
         R_si = self.R_si * earth.rotations_ie(self.t_s).inv()
         return replace(self, R_si=R_si, is_earth_fixed=False)
-
-    def take(self, which: Bools) -> AttitudeRows:
-        """The attitudes that a mask (N,) selects."""
-        names = ("t_s", "R_si", "covariance_s", "temperature_c")
-        columns = {name: column for name in names if (column := getattr(self, name)) is not None}
-        return replace(self, **{name: column[which] for name, column in columns.items()})
 
 
 def read_attitudes(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from boresight.geometry.geoid import egm96
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.text_files import each_once, path_inside, read_table
-from boresight.records.record import Bools, Floats, Ints, array, record, scalar
+from boresight.records.record import Floats, Ints, RowRecord, array, record, scalar
 
 __all__ = [
     "NO_POINTS",
@@ -54,7 +53,7 @@ class ChipFile:
 
 
 @record(kw_only=True)
-class StripPoints:
+class StripPoints(RowRecord):
     """Measured image points of one strip. Row n of every array is the same measurement."""
 
     strip_id: str = scalar("id of the strip in the dump")
@@ -66,17 +65,6 @@ class StripPoints:
     def of(self, ccds: Sequence[int]) -> StripPoints:
         """The measurements in some of the CCDs."""
         return self.take(np.isin(self.ccd, ccds))
-
-    def take(self, which: Bools) -> StripPoints:
-        """The measurements that a mask (N,) selects."""
-        rows = np.flatnonzero(which)
-        return replace(
-            self,
-            targets=tuple(self.targets[n] for n in rows),
-            ccd=self.ccd[rows],
-            xy_px=self.xy_px[rows],
-            cov_px=self.cov_px[rows],
-        )
 
 
 # A strip without measured points.
