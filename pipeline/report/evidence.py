@@ -361,7 +361,7 @@ def _matches(calibration: DumpCalibration) -> pa.Table:
 
 def star_pictures(task: SkyTask, named: NamedStars) -> tuple[MatchPictures, ...]:
     """Pictures of the stars with names; none where the strip cannot be read any more."""
-    motion, stars = strip_motion(task, task.R_cs0), named.found.take(named.rows)
+    motion, stars = strip_motion(task), named.found.take(named.rows)
     pictures = []
     for k, ccd in enumerate(stars.ccd.tolist()):
         own = motion.of(ccd, stars.xy_px[k, 1:])
