@@ -221,12 +221,7 @@ def _from_acm(found: AcmAttitudes, file: str, epoch: Epoch) -> AttitudeRows:
 def _from_message(segments: list[Segment], file: str, epoch: Epoch) -> AttitudeRows:
     if not segments:
         raise RawDataError(file, "segments", "none", EXPECTED)
-    parts = [_segment(*one, file, epoch) for one in segments]
-    return replace(
-        parts[0],
-        t_s=np.concatenate([part.t_s for part in parts]),
-        R_si=Rotation.concatenate([part.R_si for part in parts]),
-    )
+    return AttitudeRows.together([_segment(*one, file, epoch) for one in segments])
 
 
 State = tuple[str, list[float]]  # time; quaternion or Euler angles
@@ -298,17 +293,14 @@ def _check_metadata(
 
 def _state(cells: list[str], meta: dict[str, str], file: str, where: str) -> State:
     """The state of a line; what may follow (rates) is not used."""
-    if _is_euler(meta):
-        if len(cells) < 4:
-            raise RawDataError(file, where, " ".join(cells), "a time and three Euler angles")
-        angles = [check_number(cell, file, f"{where}, {name}") for name, cell in zip(ANGLES, cells[1:])]
-        return calendar_date(cells[0], file, f"{where}, time"), angles
-    if len(cells) < 5:
-        raise RawDataError(file, where, " ".join(cells), "a time and four components of a quaternion")
-    first = meta.get("QUATERNION_TYPE", "LAST").upper() == "FIRST"
-    names = (QUATERNION[3], *QUATERNION[:3]) if first else QUATERNION
-    q = {name: check_number(cell, file, f"{where}, {name}") for name, cell in zip(names, cells[1:])}
-    return calendar_date(cells[0], file, f"{where}, time"), [q[name] for name in QUATERNION]
+    names: tuple[str, ...] = ANGLES if _is_euler(meta) else QUATERNION
+    what = "three Euler angles" if names == ANGLES else "four components of a quaternion"
+    if len(cells) <= len(names):
+        raise RawDataError(file, where, " ".join(cells), f"a time and {what}")
+    scalar_first = names == QUATERNION and meta.get("QUATERNION_TYPE", "LAST").upper() == "FIRST"
+    order = (names[-1], *names[:-1]) if scalar_first else names
+    found = {name: check_number(cell, file, f"{where}, {name}") for name, cell in zip(order, cells[1:])}
+    return calendar_date(cells[0], file, f"{where}, time"), [found[name] for name in names]
 
 
 def _is_euler(meta: Mapping[str, str]) -> bool:

@@ -21,7 +21,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.text_files import NUMBER, PLAIN_NUMBER, read_message
 from boresight.pipeline.files.xml_files import elements_of, numbers_of, xml_root
 from boresight.pipeline.files.xml_files import text_of as element_text
-from boresight.records.record import Floats, array, record, scalar
+from boresight.records.record import Floats, RowRecord, array, record, scalar
 
 __all__ = [
     "SAME_FRAME",
@@ -74,7 +74,7 @@ _ACCELERATIONS = ("X_DDOT", "Y_DDOT", "Z_DDOT")  # the same of the optional ones
 
 
 @record(kw_only=True)
-class Ephemeris:
+class Ephemeris(RowRecord):
     """States of one segment of an OEM."""
 
     epoch: Epoch = scalar("zero of `t_s`: whole TAI second at or before the first segment's first state")
@@ -134,14 +134,8 @@ def joined_segments(segments: Sequence[Ephemeris]) -> Ephemeris | None:
         return None
     if any(a.t_s[-1] > b.t_s[0] for a, b in pairwise(segments)):
         return None
-    return replace(
-        first,
-        t_s=np.concatenate([one.t_s for one in segments]),
-        positions_m=np.concatenate([one.positions_m for one in segments]),
-        velocities_m_s=np.concatenate([one.velocities_m_s for one in segments]),
-        last_time=segments[-1].last_time,
-        begins=tuple(np.cumsum([len(one.t_s) for one in segments[:-1]]).tolist()),
-    )
+    begins = tuple(np.cumsum([len(one.t_s) for one in segments[:-1]]).tolist())
+    return replace(Ephemeris.together(segments), last_time=segments[-1].last_time, begins=begins)
 
 
 @record(by_value=True)
