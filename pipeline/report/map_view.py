@@ -13,7 +13,7 @@ from boresight.pipeline.report.check_points import CheckPoint, check_points_on_m
 from boresight.pipeline.report.marks import strip_style
 from boresight.pipeline.report.observations import TargetCard, data_uri, strip_numbers
 from boresight.pipeline.report.saved import Saved
-from boresight.records.ledger import State
+from boresight.records.ledger import State, count_words
 from boresight.records.record import Floats, record, scalar
 
 __all__ = ["Layer", "MapView", "SceneView", "SpotView", "map_view"]
@@ -105,13 +105,9 @@ def map_view(saved: Saved, rows: Sequence[TargetCard]) -> MapView | None:
         causes=tuple((numbers[cause], cause, n) for cause, n in causes.most_common()),
         check_metres=1.0 / own if points else 0.0,
         checks=tuple(_check(point, origins[point.scene], scale, own) for point in points),
-        words=f"Map of {_count(len(strip_numbers(saved)), 'strip')} with {_count(len(rows), 'target')}, "
-        f"{used} used.",
+        words=f"Map of {count_words(len(strip_numbers(saved)), 'strip')} with "
+        f"{count_words(len(rows), 'target')}, {used} used.",
     )
-
-
-def _count(n: int, thing: str) -> str:
-    return f"{n} {thing}{'s' if n != 1 else ''}"
 
 
 def _stretch(size_m: Floats) -> float:
