@@ -213,12 +213,8 @@ class DumpParts:
             return NO_TERRAIN
         stated, names = self.head.terrain, self.head.files.terrain
         if names is None or stated is None:
-            known = (self.targets[0], *self.listed_points[1])
-            lat, lon, heights = (
-                np.concatenate([getattr(surveyed, name) for surveyed in known])
-                for name in ("lat_rad", "lon_rad", "height_m")
-            )
-            return TargetHeights(unit_vectors(lon, lat), heights)
+            known = SurveyedPoints.together((self.targets[0], *self.listed_points[1]))
+            return TargetHeights(unit_vectors(known.lon_rad, known.lat_rad), known.height_m)
         paths = tuple(self._inside(name, "files.terrain") for name in names)
         terrain = TerrainFiles(tuple(names), paths, stated.height_kind)
         for name, path in zip(terrain.files, terrain.paths):

@@ -31,7 +31,7 @@ OF_PLACE = "lat_deg lon_deg height_m height_kind sigma_east_m sigma_north_m sigm
 
 
 @record
-class SurveyedPoints:
+class SurveyedPoints(RowRecord):
     """Points on the ground. Row n of every array is the same point."""
 
     targets: tuple[Target, ...] = array("N", "ids, ITRS positions and sigmas")
