@@ -12,7 +12,6 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.attitude_smoother import HeadRows, smoothed_track
-from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
@@ -46,7 +45,6 @@ class Calibrated:
 
     result: SavedResult = scalar("finished result")
     dump: Dump = scalar("dump from which it was made")
-    effects: LightEffects = scalar("effects that the calibration took into account")
     sigma_terrain_m: float = scalar("1 sigma of the heights, m; 0 without a terrain model (unknown)")
     exposure_margin_s: float = scalar("exposures within this time of a strip belong to it, s")
 
@@ -74,7 +72,6 @@ def open_calibrated(
     return Calibrated(
         result=saved,
         dump=opened,
-        effects=opened.light,
         sigma_terrain_m=terrain_sigma_m(opened),
         exposure_margin_s=run.exposure_margin_s,
     )
@@ -98,7 +95,7 @@ def strip_model(calibrated: Calibrated, strip_id: str) -> StripModel:
         reason = f"strip {strip_id}: {len(near)} usable star exposures around it, 2 are needed"
         raise DataNotSufficientError(reason)
     track = attitude_track(result, dump, near)
-    return StripModel(strip, pushbroom_with(track, strip, dump, result.R_cs, calibrated.effects), track)
+    return StripModel(strip, pushbroom_with(track, strip, dump, result.R_cs), track)
 
 
 def attitude_track(result: SavedResult, dump: Dump, near: Ints) -> AttitudeTrack:
@@ -141,9 +138,7 @@ def exposures_around(result: SavedResult, dump: Dump, strip: Strip, margin_s: fl
     return np.flatnonzero(result.usable & (t >= first - margin_s) & (t <= last + margin_s))
 
 
-def pushbroom_with(
-    track: AttitudeTrack, strip: Strip, dump: Dump, R_cs: Rotation, effects: LightEffects
-) -> Pushbroom:
+def pushbroom_with(track: AttitudeTrack, strip: Strip, dump: Dump, R_cs: Rotation) -> Pushbroom:
     """The rigorous model of a strip with given attitudes and installation matrix."""
     return Pushbroom(
         camera=dump.line_camera,
@@ -152,7 +147,7 @@ def pushbroom_with(
         earth=dump.orbit.earth,
         attitude=track,
         R_cs=R_cs,
-        effects=effects,
+        effects=dump.light,
     )
 
 

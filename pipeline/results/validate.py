@@ -132,7 +132,7 @@ def _check(
         if len(near) < 2:
             continue
         track = attitude_track(result, dump, near)
-        model = pushbroom_with(track, strip, dump, R_cs, dump.light)
+        model = pushbroom_with(track, strip, dump, R_cs)
         ccd, line = np.array([point.ccd for point in here]), np.array([point.line for point in here])
         instants, (first, last) = model.instants_of_lines(ccd, line).tolist(), track.span_s
         seen = [point for point, t in zip(here, instants) if first <= t <= last]

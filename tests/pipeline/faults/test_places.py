@@ -137,9 +137,7 @@ def test_pixels_are_placed_on_the_ground_and_found_again(flown) -> None:
         covariance_s=np.zeros((0, 3, 3)),
         usable=none.astype(bool),
     )
-    calibrated = Calibrated(
-        result=saved, dump=dump, effects=LightEffects(), sigma_terrain_m=0.0, exposure_margin_s=1.0
-    )
+    calibrated = Calibrated(result=saved, dump=dump, sigma_terrain_m=0.0, exposure_margin_s=1.0)
     points = truth.check_points
     pixels = Pixels(
         np.zeros(len(points), dtype=np.int64),
