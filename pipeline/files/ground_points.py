@@ -88,9 +88,7 @@ def read_targets(
 
     `RawDataError` for a table that is not valid, names a target twice, or has none.
     """
-    rows = read_table(path, schema.TargetRow, file)
-    if not rows:
-        raise RawDataError(file, "rows", "none", "at least one target")
+    rows = read_table(path, schema.TargetRow, file, "at least one target")
     each_once([row.id for row in rows], file)
     chips = tuple(
         ChipFile(row.id, row.chip, path_inside(root, row.chip, file=file, field=f"line {n + 2}, chip"))
@@ -106,9 +104,7 @@ def read_points(
 
     The rows of one id are one point on the ground and must agree in its coordinates.
     """
-    rows = read_table(path, schema.PointRow, file)
-    if not rows:
-        raise RawDataError(file, "rows", "none", "at least one point")
+    rows = read_table(path, schema.PointRow, file, "at least one point")
     first: dict[str, schema.PointRow] = {}
     seen: set[tuple[str, str, int]] = set()
     for n, row in enumerate(rows):

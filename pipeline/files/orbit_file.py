@@ -30,7 +30,6 @@ __all__ = [
     "check_components",
     "check_states",
     "check_time_system",
-    "covered_by",
     "joined_segments",
     "orbit_message",
     "read_oem",
@@ -115,11 +114,6 @@ def read_segments(path: Path, file: str) -> tuple[Ephemeris, ...]:
     epoch = parts[0].epoch
     later_s = [float(one.epoch.tai_s - epoch.tai_s) for one in parts]
     return tuple(replace(one, epoch=epoch, t_s=one.t_s + later) for one, later in zip(parts, later_s))
-
-
-def covered_by(segments: Sequence[Ephemeris], spans: Sequence[tuple[float, float]]) -> list[int]:
-    """How many `spans`, TAI seconds since the epoch, each segment covers."""
-    return [sum(bool(one.t_s[0] <= begin and end <= one.t_s[-1]) for begin, end in spans) for one in segments]
 
 
 def joined_segments(segments: Sequence[Ephemeris]) -> Ephemeris | None:

@@ -441,9 +441,7 @@ def _smooth_of(
 
 
 def _exposures(root: Path, path: Path, file: str, epoch: Epoch) -> tuple[Exposure, ...]:
-    rows = read_table(path, schema.ExposureRow, file)
-    if not rows:
-        raise RawDataError(file, "rows", "none", "at least one exposure")
+    rows = read_table(path, schema.ExposureRow, file, "at least one exposure")
     each_once([row.id for row in rows], file)
     t_s = seconds_of(epoch, [row.utc_mid for row in rows], file, "utc_mid")
     if len(bad := np.flatnonzero(np.diff(t_s) <= 0)):

@@ -169,8 +169,10 @@ def read_toml(path: Path, model: type[Model], file: str) -> Model:
         raise _raw_data_error(error, model, file, "") from error
 
 
-def read_table(path: Path, model: type[Model], file: str) -> list[Model]:
-    """The rows of a CSV file (RFC 4180, header line) as records of `model`; `RawDataError` if not valid."""
+def read_table(path: Path, model: type[Model], file: str, least: str = "") -> list[Model]:
+    """The rows of a CSV file (RFC 4180, header line) as records of `model`; `RawDataError` if not valid, or
+    where there is none and `least` says what is needed: "at least one strip".
+    """
     required = [name for name, field in model.model_fields.items() if field.is_required()]
     optional = [name for name in model.model_fields if name not in required]
     numeric = [name for name, field in model.model_fields.items() if field.annotation in (int, float)]
@@ -191,6 +193,8 @@ def read_table(path: Path, model: type[Model], file: str) -> list[Model]:
     if wrong:
         wrong[0].others = tuple(wrong[1:])
         raise wrong[0]
+    if least and not records:
+        raise RawDataError(file, "rows", "none", least)
     return records
 
 
