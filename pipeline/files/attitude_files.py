@@ -112,8 +112,10 @@ def read_attitudes(
     if is_acm(start) or is_acm(root):
         rows = _from_acm(read_acm(text if root is None else root, file), file, epoch)
     elif frame is None:
-        segments = _kvn_segments(text, file) if root is None else _xml_segments(root, file)
-        rows = _from_message(list(segments), file, epoch)
+        segments = list(_kvn_segments(text, file) if root is None else _xml_segments(root, file))
+        if not segments:
+            raise RawDataError(file, "segments", "none", EXPECTED)
+        rows = AttitudeRows.together([_segment(*one, file, epoch) for one in segments])
     else:
         rows = _from_csv(path, file, epoch, frame, str(rotation), time_scale or "UTC")
     check_rows(rows, file)
@@ -216,12 +218,6 @@ def _from_acm(found: AcmAttitudes, file: str, epoch: Epoch) -> AttitudeRows:
     if found.variance_rad2 is None:
         return rows
     return replace(rows, covariance_s=found.variance_rad2[:, :, None] * np.eye(3))
-
-
-def _from_message(segments: list[Segment], file: str, epoch: Epoch) -> AttitudeRows:
-    if not segments:
-        raise RawDataError(file, "segments", "none", EXPECTED)
-    return AttitudeRows.together([_segment(*one, file, epoch) for one in segments])
 
 
 State = tuple[str, list[float]]  # time; quaternion or Euler angles
