@@ -169,7 +169,7 @@ def run_dumps(out: Path, dumps: Sequence[NamedDump], request: RunRequest) -> Run
         if request.report:
             write_joint_evidence(out, joint)
             write_dumps_report(out)
-        outcomes = [found.verdict.outcome for found in (joint, *of_dumps.values())]
+        outcomes = [joint.verdict.outcome, *(found.verdict.outcome for _, found in calibrated)]
         return _outcome(out, text, outcomes)
 
 
