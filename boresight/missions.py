@@ -496,6 +496,7 @@ def calibrate(
             overwrite=flag_of(overwrite, "overwrite"),
             facts={"version": __version__, "workers": n_workers},
             report=folder is not None,
+            progress=told,
             after_joint=_after_joint() if len(sources) > 1 else (),
         )
         stale = flag_of(allow_stale_eop, "allow_stale_eop")
@@ -509,7 +510,7 @@ def calibrate(
                 raise wrong("strips", strips, "none with several dumps or cameras: give the strips of one")
             place = folder if folder is not None else scratch.path
             with executor_for(n_workers, None, sum(named.dump.pixels for named in several)) as executor:
-                run_dumps(place, several, request, executor, told)
+                run_dumps(place, several, dataclasses.replace(request, executor=executor))
             made = read_result(place)
             return made if folder else dataclasses.replace(made, folder=None, _scratch=scratch)
         opened = several[0].dump
@@ -517,7 +518,7 @@ def calibrate(
             opened = opened.of_strips([str(one) for one in listed(strips, "strips", "ids of strips")])
         with executor_for(n_workers, None, opened.pixels) as executor:
             if folder is not None:
-                run_dump(folder, opened, str(opened.root), request, executor, told)
+                run_dump(folder, opened, str(opened.root), dataclasses.replace(request, executor=executor))
                 return read_result(folder)
             found = calibrate_dump(opened, chosen, None, executor, told)
         write_result(scratch.path, found, chosen)

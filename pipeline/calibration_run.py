@@ -13,6 +13,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -55,7 +56,7 @@ from boresight.pipeline.results.writing import (
     write_sightings,
 )
 from boresight.pipeline.run.cached import Progress
-from boresight.pipeline.run.executor import Executor
+from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.run_inputs import RunInputs, inputs_of
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.several_dumps import NamedDump
@@ -64,9 +65,6 @@ from boresight.records.ledger import Entry, Kind, Reason, Subject
 from boresight.records.record import record, scalar
 
 log = logging.getLogger("boresight.commands")
-
-# Called with the folder and the names of several dumps, returns lines to print.
-_AfterJoint = Callable[[Path, list[str]], str]
 
 __all__ = ["RunOutcome", "RunRequest", "going_on", "run_dump", "run_dumps", "saved_content"]
 
@@ -82,7 +80,11 @@ class RunRequest:
     requirement: Requirement = scalar("accuracy that the report compares with", default=Requirement())
     about: Path | None = scalar("TOML file of what the operator says of the result", default=None)
     facts: dict[str, Any] = scalar("for run.json: workers, machine, versions")
-    after_joint: tuple[_AfterJoint, ...] = scalar("called at the end, of several dumps", default=())
+    executor: Executor = scalar("computes exposures and strips", default=InOrder())
+    progress: Progress = scalar("told stage, tasks done, all tasks", default=lambda stage, done, total: None)
+    after_joint: tuple[Callable[[Path, list[str]], str], ...] = scalar(
+        "called with the folder and the names of several dumps, returns lines to print", default=()
+    )
 
 
 @record
@@ -115,98 +117,77 @@ def saved_content(out: Path) -> dict[str, Any]:
     }
 
 
-def run_dump(
-    out: Path, dump: Dump, named: str, request: RunRequest, executor: Executor, progress: Progress
-) -> RunOutcome:
+def run_dump(out: Path, dump: Dump, named: str, request: RunRequest) -> RunOutcome:
     """Calibrate one dump, `named` so by the user, into `out`."""
     with claimed(out, [dump.root], request.settings, overwrite=request.overwrite):
         inputs = inputs_of([dump], request.settings)
         if (kept := _kept(out, inputs, request, write_report)) is not None:
             return kept
-        found = _calibrated(out, dump, named, inputs, request, executor, progress)
+        found = _calibrated(out, dump, named, inputs, request)
         log.debug("%s", "\n".join(omission_lines([entry.row for entry in found.omissions], None)))
         return _outcome(out, calibration_summary(found, read_findings(out)), [found.verdict.outcome])
 
 
-def run_dumps(
-    out: Path, dumps: Sequence[NamedDump], request: RunRequest, executor: Executor, progress: Progress
-) -> RunOutcome:
+def run_dumps(out: Path, dumps: Sequence[NamedDump], request: RunRequest) -> RunOutcome:
     """Calibrate dumps of one mission, each and jointly; one whose data do not suffice is only counted."""
     roots = list(dict.fromkeys(one.dump.root for one in dumps))
     with claimed(out, roots, request.settings, overwrite=request.overwrite):
         inputs = inputs_of([named.dump for named in dumps], request.settings)
         if (kept := _kept(out, inputs, request, write_dumps_report)) is not None:
             return kept
-        return _jointly_calibrated(out, dumps, inputs, request, executor, progress)
+        begin_result(out)
+        write_dumps(out, [named.name for named in dumps])
+        calibrated: list[tuple[NamedDump, DumpCalibration]] = []
+        failed: list[Entry] = []
+        stores: dict[Path, Path] = {}  # folder of the first camera of each dump: all share its star exposures
+        for named in dumps:
 
+            def report_progress(stage: str, done: int, total: int, name: str = named.name) -> None:
+                request.progress(f"{name}: {stage}", done, total)
 
-def _jointly_calibrated(
-    out: Path,
-    dumps: Sequence[NamedDump],
-    inputs: RunInputs,
-    request: RunRequest,
-    executor: Executor,
-    progress: Progress,
-) -> RunOutcome:
-    begin_result(out)
-    write_dumps(out, [named.name for named in dumps])
-    calibrated: list[tuple[NamedDump, DumpCalibration]] = []
-    failed: list[Entry] = []
-    stores: dict[Path, Path] = {}  # folder of the first camera of each dump: all share its star exposures
-    for named in dumps:
-
-        def report_progress(stage: str, done: int, total: int, name: str = named.name) -> None:
-            progress(f"{name}: {stage}", done, total)
-
-        try:
-            folder, root = out / named.name, named.dump.root
-            make_own_folder(folder)
-            with claimed(folder, [root], request.settings, overwrite=request.overwrite):
-                own = inputs_of([named.dump], request.settings)
-                store = store_of(stores.setdefault(root, folder).resolve())
-                of_dump = folder, named.dump, str(root)
-                found = _calibrated(*of_dump, own, request, executor, report_progress, store)
-        except DataNotSufficientError as error:
-            subject = Subject(Kind.DUMP, dump=named.name)
-            failed.append(Entry(subject, Reason.NOT_CALIBRATED, str(error)))
-        else:
-            calibrated.append((named, found))
-    joint = calibrate_jointly(calibrated, failed, request.settings)
-    of_dumps = {named.name: found for named, found in calibrated}
-    text = joint_summary(of_dumps, joint)
-    if len({named.dump.root for named, _ in calibrated}) > 1 and len(joint.estimate.cameras) == 1:
-        text = "\n".join([text, *(further(out, list(of_dumps)) for further in request.after_joint)])
-    write_joint_result(out, joint, of_dumps, request.settings)
-    roots = {named.name: str(named.dump.root) for named in dumps}
-    _note(out, request, {"dumps": roots, "inputs": inputs.digest()})
-    if request.report:
-        write_joint_evidence(out, joint)
-        write_dumps_report(out)
-    return _outcome(out, text, [joint.verdict.outcome, *(found.verdict.outcome for _, found in calibrated)])
+            try:
+                folder, root = out / named.name, named.dump.root
+                make_own_folder(folder)
+                with claimed(folder, [root], request.settings, overwrite=request.overwrite):
+                    own = inputs_of([named.dump], request.settings)
+                    store = store_of(stores.setdefault(root, folder).resolve())
+                    of_dump = replace(request, progress=report_progress)
+                    found = _calibrated(folder, named.dump, str(root), own, of_dump, store)
+            except DataNotSufficientError as error:
+                subject = Subject(Kind.DUMP, dump=named.name)
+                failed.append(Entry(subject, Reason.NOT_CALIBRATED, str(error)))
+            else:
+                calibrated.append((named, found))
+        joint = calibrate_jointly(calibrated, failed, request.settings)
+        of_dumps = {named.name: found for named, found in calibrated}
+        text = joint_summary(of_dumps, joint)
+        if len({named.dump.root for named, _ in calibrated}) > 1 and len(joint.estimate.cameras) == 1:
+            text = "\n".join([text, *(further(out, list(of_dumps)) for further in request.after_joint)])
+        write_joint_result(out, joint, of_dumps, request.settings)
+        places = {named.name: str(named.dump.root) for named in dumps}
+        _note(out, request, {"dumps": places, "inputs": inputs.digest()})
+        if request.report:
+            write_joint_evidence(out, joint)
+            write_dumps_report(out)
+        outcomes = [joint.verdict.outcome, *(found.verdict.outcome for _, found in calibrated)]
+        return _outcome(out, text, outcomes)
 
 
 def _calibrated(
-    out: Path,
-    dump: Dump,
-    named: str,
-    inputs: RunInputs,
-    request: RunRequest,
-    executor: Executor,
-    progress: Progress,
-    store: UnitStore | None = None,
+    out: Path, dump: Dump, named: str, inputs: RunInputs, request: RunRequest, store: UnitStore | None = None
 ) -> DumpCalibration:
     begin_result(out)
     make_own_folder(out / "work")
     store = store or store_of(out.resolve())
     try:
-        found = calibrate_dump(dump, request.settings, store, executor, progress)
+        found = calibrate_dump(dump, request.settings, store, request.executor, request.progress)
     except DataNotSufficientError as error:
         if request.report:
             write_no_result(out, dump, error)
         raise
     write = partial(write_sightings, out, found)
     if request.report:
-        write_evidence(out, dump, found, request.settings, executor, [write])
+        write_evidence(out, dump, found, request.settings, request.executor, [write])
     else:
         write()
     write_installation(out, found, request.settings)
@@ -232,22 +213,16 @@ def _kept(
     there is none. Requirement and operator's words are kept beside the result.
     """
     stated = write_about(out, request.about) | write_requirement(out, request.requirement)
-    if not _is_finished(out, inputs, request):
+    needed = ("installation.json", "run.json", *(("report.html",) if request.report else ()))
+    digest = None
+    if all((out / name).is_file() for name in needed):
+        with suppress(RawDataError):
+            digest = read_json(out / "run.json", "run.json").get("inputs")
+    if not digest or digest != inputs.digest():
         return None
     if stated and request.report:
         draw(out)
     return _finished(out)
-
-
-def _is_finished(out: Path, inputs: RunInputs, request: RunRequest) -> bool:
-    """Whether the folder holds the finished result of the same inputs, with a report where one is wanted."""
-    needed = ("installation.json", "run.json", *(("report.html",) if request.report else ()))
-    if not all((out / name).is_file() for name in needed):
-        return False
-    with suppress(RawDataError):
-        if kept := read_json(out / "run.json", "run.json").get("inputs"):
-            return bool(kept == inputs.digest())
-    return False
 
 
 def _finished(out: Path) -> RunOutcome:

@@ -308,7 +308,7 @@ class Entry:
 
 def count_words(n: int, thing: str) -> str:
     """How many things: "1 target", "2 targets"."""
-    return f"{n} {thing}{'s' if n > 1 else ''}"
+    return f"{n} {thing}{'s' if n != 1 else ''}"
 
 
 def list_words(names: Sequence[str], most: int = 4) -> str:

@@ -21,7 +21,7 @@ from xml.etree.ElementTree import Element
 
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import check_extent, limited_content
-from boresight.pipeline.files.text_files import GZIP, unpacked
+from boresight.pipeline.files.text_files import unpacked
 from boresight.pipeline.files.xml_files import xml_of_bytes
 from boresight.records.record import record, scalar
 
@@ -82,8 +82,7 @@ def gipp_root(gipp: GippFile, stem: str, depth: int = 0) -> Element:
 
     `RawDataError` for a damaged file, for an archive without such a document, and for more than the limits.
     """
-    raw = gipp.content()
-    raw = unpacked(raw, gipp.file, MAX_BYTES) if raw.startswith(GZIP) else raw
+    raw = unpacked(gipp.content(), gipp.file, MAX_BYTES)
     if not _is_archive(raw):
         return _data(xml_of_bytes(raw, gipp.file))
     members = _members(raw, gipp.file, re.escape(stem))
@@ -114,7 +113,7 @@ def _is_archive(raw: bytes) -> bool:
 
 def _members(raw: bytes, file: str, stem: str) -> dict[str, GippFile]:
     """Wanted files of an archive, ZIP or tar, plain or compressed with gzip; their bytes are copied here."""
-    raw = unpacked(raw, file, MAX_BYTES) if raw.startswith(GZIP) else raw
+    raw = unpacked(raw, file, MAX_BYTES)
     if not _is_archive(raw):
         expected = "a folder of GIPP files, or an archive of them: ZIP, or tar, plain or with gzip"
         raise RawDataError(file, "byte 257", "no tar archive", expected)

@@ -32,7 +32,6 @@ from boresight.pipeline.stages.strip import (
     MatchedTargets,
     StripTask,
     match_strip_targets,
-    no_matches,
     predicted_again,
     with_points,
 )
@@ -58,10 +57,7 @@ Start = tuple[Rotation, Floats]  # a matrix and its 1-sigma (3,), rad, axes of c
 def match_strips(tasks: Sequence[StripTask], runner: StageRunner, folder: str) -> list[MatchedTargets]:
     """Targets matched in strips."""
     outcomes = runner.run(match_strip_targets, tasks, folder=folder, in_parts=True)
-    return [
-        with_points(no_matches(one) if isinstance(one, Entry) else one, task.points)
-        for task, one in zip(tasks, outcomes)
-    ]
+    return [with_points(one, task.points) for task, one in zip(tasks, outcomes)]
 
 
 def match_first(

@@ -8,7 +8,8 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Collection, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import Annotated
@@ -47,11 +48,10 @@ from boresight.pipeline.console.messages import (
 )
 from boresight.pipeline.console.program import function_at
 from boresight.pipeline.console.progress import progress_bars
-from boresight.pipeline.files.dump import Dump, open_cameras
 from boresight.pipeline.results.requirement import Requirement
-from boresight.pipeline.run.executor import Executor, executor_for
+from boresight.pipeline.run.executor import executor_for
 from boresight.pipeline.run.settings import read_settings
-from boresight.pipeline.run.several_dumps import named_cameras, open_dumps
+from boresight.pipeline.run.several_dumps import open_dumps
 from boresight.version import commit
 
 __all__ = ["calibrate_command"]
@@ -118,12 +118,6 @@ def calibrate_command(
     """
     if workers is not None and scheduler is not None:
         raise wrong_usage("--workers and --scheduler exclude one another")
-
-    def executor_on(opened: list[Dump]) -> AbstractContextManager[Executor]:
-        probes = [dump.root / "dump.toml" for dump in opened]
-        pixels = sum(dump.pixels for dump in opened)
-        return executor_for(workers, scheduler, pixels, probes=probes, wait_s=worker_timeout, say=say)
-
     begun_s = time.perf_counter()
     request = RunRequest(
         settings=read_settings(settings),
@@ -138,7 +132,17 @@ def calibrate_command(
     to_archive = () if archive is None else _functions(context, "to_archive")
     if archive is not None and not to_archive:
         raise wrong_usage("--archive: this installation has no feature that keeps an archive")
-    outcome = _run(dumps, out, request, executor_on, allow_stale_eop)
+    with _warnings_reported():
+        several = open_dumps(dumps, request.settings, allow_stale_eop=allow_stale_eop)
+    opened = [named.dump for named in several]
+    probes, pixels = [dump.root / "dump.toml" for dump in opened], sum(dump.pixels for dump in opened)
+    machine = executor_for(workers, scheduler, pixels, probes=probes, wait_s=worker_timeout, say=say)
+    with going_on(out), progress_bars() as progress, machine as executor:
+        request = replace(request, executor=executor, progress=progress)
+        if len(several) == 1:
+            outcome = run_dump(out, opened[0], str(dumps[0]), request)
+        else:
+            outcome = run_dumps(out, several, request)
     for add in to_archive:
         add([out], archive)
     files = (out / "installation.json", *([out / "report.html"] if report else []))
@@ -185,27 +189,6 @@ def _machine() -> dict[str, object]:
         "command": shlex.join(["boresight", *sys.argv[1:]]),
         "packages": {name: metadata.version(name) for name in REPORTED_PACKAGES},
     }
-
-
-def _run(
-    dumps: list[Path],
-    out: Path,
-    request: RunRequest,
-    executor_on: Callable[[list[Dump]], AbstractContextManager[Executor]],
-    allow_stale_eop: bool,
-) -> RunOutcome:
-    """Open one dump or several, and carry them through."""
-    with _warnings_reported():
-        if len(dumps) == 1:
-            views = open_cameras(dumps[0].resolve(), allow_stale_eop=allow_stale_eop)
-            several = tuple(named_cameras(views))
-        else:
-            several = open_dumps(dumps, request.settings, allow_stale_eop=allow_stale_eop)
-    opened = [named.dump for named in several]
-    with going_on(out), progress_bars() as progress, executor_on(opened) as executor:
-        if len(opened) == 1:
-            return run_dump(out, opened[0], str(dumps[0]), request, executor, progress)
-        return run_dumps(out, several, request, executor, progress)
 
 
 @contextmanager

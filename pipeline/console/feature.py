@@ -3,18 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from pathlib import Path
 
 __all__ = ["Command", "Feature", "Job"]
-
-AfterJoint = Callable[[Path, list[str]], str]
-"""Of several dumps: the result folder and the names of its dumps; returns lines for the console."""
-
-ToArchive = Callable[[Sequence[Path], Path], object]
-"""Adds finished results, by their folders, to the archive in a folder."""
 
 
 class Job(StrEnum):
@@ -45,8 +37,10 @@ class Feature:
     folder: str  # of its modules, below `boresight`
     commands: tuple[Command, ...]
     groups: dict[str, str] = field(default_factory=dict)  # first word of two, and its line in the help
-    after_joint: str = ""  # "module:function" below `boresight`, an `AfterJoint`
-    to_archive: str = ""  # "module:function" below `boresight`, a `ToArchive`
+    # Functions, "module:function" below `boresight`: of a joint result's folder and the names of its dumps it
+    # returns lines for the console; of finished results' folders and that of an archive, it adds them there.
+    after_joint: str = ""
+    to_archive: str = ""
 
     def place_of(self, command: Command) -> str:
         """Place of a command below `boresight`, "module:function"."""

@@ -196,7 +196,7 @@ def _messages(verbose: bool, quiet: bool, log_file: Path | None, as_json: bool) 
 
 def _record(text: str, *arguments: object) -> logging.LogRecord:
     record = log.makeRecord(log.name, logging.INFO, "", 0, text, arguments, None)
-    _PRINTABLE.filter(record)
+    _made_printable(record)
     return record
 
 
@@ -256,13 +256,10 @@ def coloured(text: str) -> str:
     return _VERDICT.sub(lambda found: found[1] + typer.style(found[2], fg=COLOURS[found[2]], bold=True), text)
 
 
-class _Printable(logging.Filter):
-    """Escapes control characters of a message before anything prints or keeps it."""
-
-    def filter(self, record: logging.LogRecord) -> bool:
-        """Always true; the message is replaced by its printable form."""
-        record.msg, record.args = _printable(record.getMessage()), ()
-        return True
+def _made_printable(record: logging.LogRecord) -> bool:
+    """Always true; control characters of the message are escaped before anything prints or keeps it."""
+    record.msg, record.args = _printable(record.getMessage()), ()
+    return True
 
 
 def _printable(text: str) -> str:
@@ -283,8 +280,7 @@ def fitted(text: str, terminal: bool) -> str:
     return "\n".join(lines)
 
 
-_PRINTABLE = _Printable()  # the one filter of all messages: control characters become visible
-log.addFilter(_PRINTABLE)
+log.addFilter(_made_printable)
 log.addHandler(_Console())
 
 

@@ -399,7 +399,7 @@ def _order(dump: Dump, side: SkySide) -> Reading[SkySide] | None:
 def reversed_strips(dump: Dump, side: SkySide) -> Iterator[Finding]:
     """Strips of the sky of which no star is named as stated, but with rows or columns reversed."""
     for n in range(len(side.tasks)):
-        strip = side.only([n])
+        strip = side.only(n)
         if names(dump, strip) < FEWEST and (order := _order(dump, strip)):
             yield order.finding(f"none of its stars named, but {order.changed} they are", refutes=True)
 
@@ -418,8 +418,8 @@ def strips_without_stars(
         expected = len(ledger.of_strip(strip.strip_id).ccd)
         if len(of_strip.rows) or expected < FEWEST or strip.strip_id in explained:
             continue
-        alone = names(dump, side.only([n])) >= FEWEST
-        if not alone and (order := _order(dump, side.only([n]))):
+        alone = names(dump, side.only(n)) >= FEWEST
+        if not alone and (order := _order(dump, side.only(n))):
             yield order.finding(f"none of its {expected} brightest stars found, but {order.changed} they are")
             continue
         which = "its stars agree by themselves, but none of" if alone else "none of its"

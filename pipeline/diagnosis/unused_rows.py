@@ -138,19 +138,13 @@ def unneeded_exposures(dump: Dump, margin_s: float) -> list[Entry]:
     """Exposures, or attitudes of a head, further than `margin_s` from every strip."""
     found = []
     for head in dump.heads:
-        if isinstance(head.source, SolvedAttitudes):
-            far = ~around_strips(dump, head.source.rows.t_s, margin_s)
-            if far.any():
-                reason = f"{far.sum()} of {len(far)} attitudes are more than {margin_s:g} s from every strip"
-                entry = Entry(head.subject, Reason.ATTITUDES_NOT_NEEDED, reason, head.source.file)
-                found.append(entry)
-            continue
-        t_s = np.array([one.t_s for one in head.source.exposures])
-        reason = f"more than {margin_s:g} s from every strip (run.exposure_margin_s)"
-        found += [
-            head.source.exposures[k].item.because(Reason.NOT_NEEDED, reason)
-            for k in np.flatnonzero(~around_strips(dump, t_s, margin_s)).tolist()
-        ]
+        far = np.flatnonzero(~around_strips(dump, head.t_s, margin_s)).tolist()
+        if not isinstance(head.source, SolvedAttitudes):
+            reason = f"more than {margin_s:g} s from every strip (run.exposure_margin_s)"
+            found += [head.source.exposures[k].item.because(Reason.NOT_NEEDED, reason) for k in far]
+        elif far:
+            reason = f"{len(far)} of {len(head.t_s)} attitudes are more than {margin_s:g} s from every strip"
+            found.append(Entry(head.subject, Reason.ATTITUDES_NOT_NEEDED, reason, head.source.file))
     return found
 
 

@@ -34,7 +34,7 @@ from boresight.pipeline.files.acm_text import (
 from boresight.pipeline.files.orbit_file import SAME_FRAME, calendar_date, check_time_system, tai_seconds
 from boresight.pipeline.files.text_files import MAX_ROWS, check_number, csv_rows, read_message
 from boresight.pipeline.files.xml_files import xml_root
-from boresight.records.record import Bools, Floats, array, record, scalar
+from boresight.records.record import Floats, RowRecord, array, record, scalar
 
 __all__ = ["COMPONENTS", "COVARIANCES", "SIGMAS", "AttitudeRows", "check_rows", "read_attitudes"]
 
@@ -57,11 +57,11 @@ EXPECTED = "an attitude message that follows CCSDS 504.0-B, or a CSV file"  # wh
 
 
 @record(kw_only=True)
-class AttitudeRows:
+class AttitudeRows(RowRecord):
     """Attitudes as a file has them, rows marked invalid left out."""
 
     t_s: Floats = array("N", "TAI seconds since the dump's epoch, strictly increasing")
-    R_si: Rotation = scalar("(N,) GCRS to star camera, aberration as the head has it")
+    R_si: Rotation = array("N", "GCRS to star camera, aberration as the head has it")
     covariance_s: Floats | None = array("N, 3, 3", "rad², axes of s; None: not stated", default=None)
     temperature_c: Floats | None = array("N", "of the head, degrees Celsius; None: not stated", default=None)
     n_invalid: int = scalar("rows marked invalid", default=0)
@@ -79,12 +79,6 @@ class AttitudeRows:
             raise RawDataError(file, "times", str(error), expected) from error
         R_si = self.R_si * earth.rotations_ie(self.t_s).inv()
         return replace(self, R_si=R_si, is_earth_fixed=False)
-
-    def take(self, which: Bools) -> AttitudeRows:
-        """The attitudes that a mask (N,) selects."""
-        names = ("t_s", "R_si", "covariance_s", "temperature_c")
-        columns = {name: column for name in names if (column := getattr(self, name)) is not None}
-        return replace(self, **{name: column[which] for name, column in columns.items()})
 
 
 def read_attitudes(
@@ -118,8 +112,10 @@ def read_attitudes(
     if is_acm(start) or is_acm(root):
         rows = _from_acm(read_acm(text if root is None else root, file), file, epoch)
     elif frame is None:
-        segments = _kvn_segments(text, file) if root is None else _xml_segments(root, file)
-        rows = _from_message(list(segments), file, epoch)
+        segments = list(_kvn_segments(text, file) if root is None else _xml_segments(root, file))
+        if not segments:
+            raise RawDataError(file, "segments", "none", EXPECTED)
+        rows = AttitudeRows.together([_segment(*one, file, epoch) for one in segments])
     else:
         rows = _from_csv(path, file, epoch, frame, str(rotation), time_scale or "UTC")
     check_rows(rows, file)
@@ -224,17 +220,6 @@ def _from_acm(found: AcmAttitudes, file: str, epoch: Epoch) -> AttitudeRows:
     return replace(rows, covariance_s=found.variance_rad2[:, :, None] * np.eye(3))
 
 
-def _from_message(segments: list[Segment], file: str, epoch: Epoch) -> AttitudeRows:
-    if not segments:
-        raise RawDataError(file, "segments", "none", EXPECTED)
-    parts = [_segment(*one, file, epoch) for one in segments]
-    return replace(
-        parts[0],
-        t_s=np.concatenate([part.t_s for part in parts]),
-        R_si=Rotation.concatenate([part.R_si for part in parts]),
-    )
-
-
 State = tuple[str, list[float]]  # time; quaternion or Euler angles
 Segment = tuple[str, dict[str, str], list[State]]  # name in errors, metadata, states
 
@@ -304,17 +289,14 @@ def _check_metadata(
 
 def _state(cells: list[str], meta: dict[str, str], file: str, where: str) -> State:
     """The state of a line; what may follow (rates) is not used."""
-    if _is_euler(meta):
-        if len(cells) < 4:
-            raise RawDataError(file, where, " ".join(cells), "a time and three Euler angles")
-        angles = [check_number(cell, file, f"{where}, {name}") for name, cell in zip(ANGLES, cells[1:])]
-        return calendar_date(cells[0], file, f"{where}, time"), angles
-    if len(cells) < 5:
-        raise RawDataError(file, where, " ".join(cells), "a time and four components of a quaternion")
-    first = meta.get("QUATERNION_TYPE", "LAST").upper() == "FIRST"
-    names = (QUATERNION[3], *QUATERNION[:3]) if first else QUATERNION
-    q = {name: check_number(cell, file, f"{where}, {name}") for name, cell in zip(names, cells[1:])}
-    return calendar_date(cells[0], file, f"{where}, time"), [q[name] for name in QUATERNION]
+    names: tuple[str, ...] = ANGLES if _is_euler(meta) else QUATERNION
+    what = "three Euler angles" if names == ANGLES else "four components of a quaternion"
+    if len(cells) <= len(names):
+        raise RawDataError(file, where, " ".join(cells), f"a time and {what}")
+    scalar_first = names == QUATERNION and meta.get("QUATERNION_TYPE", "LAST").upper() == "FIRST"
+    order = (names[-1], *names[:-1]) if scalar_first else names
+    found = {name: check_number(cell, file, f"{where}, {name}") for name, cell in zip(order, cells[1:])}
+    return calendar_date(cells[0], file, f"{where}, time"), [found[name] for name in names]
 
 
 def _is_euler(meta: Mapping[str, str]) -> bool:

@@ -77,7 +77,9 @@ def contradiction(target: Target, chip: ChipFile, others: Sequence[ChipFile]) ->
         if other.file != chip.file and (theirs := _place(other)) and theirs.contains(here)[0]:
             text = f"not in {chip.file} but in {other.file}, the chip of {other.target_id}: correct the files"
             return text, ""
-    apart_km = _apart_km(here[0], place)
+    lat, lon = np.radians(np.vstack([here, place.middle_deg])).T
+    one, other = ecef_from_geodetic(lat, lon, np.zeros(2), WGS84)
+    apart_km = 1e-3 * float(np.linalg.norm(one - other))
     return f"{apart_km:.3g} km from the middle of its chip; correct its coordinates or chip", ""
 
 
@@ -98,12 +100,6 @@ def _place(chip: ChipFile) -> GridPlace | None:
         return grid_place(chip.path, chip.file)
     except RawDataError:
         return None
-
-
-def _apart_km(here_deg: Floats, place: GridPlace) -> float:
-    lat, lon = np.radians(np.array([here_deg, place.middle_deg], dtype=float)).T
-    one, other = ecef_from_geodetic(lat, lon, np.zeros(2), WGS84)
-    return 1e-3 * float(np.linalg.norm(one - other))
 
 
 def _words(name: str, meant: str, stated: str, kind: str) -> str:

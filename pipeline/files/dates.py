@@ -13,6 +13,7 @@ from boresight.records.record import Floats
 __all__ = [
     "check_exposure_dates",
     "check_orbit_dates",
+    "n_covered",
     "orbit_covers",
     "other_scales",
     "seconds_of",
@@ -43,16 +44,16 @@ def orbit_covers(epoch: Epoch, t_s: Floats, time_system: str, file: str, strips:
     where they do not as stated. `t_s` (N,) are its states' times, s.
     """
     text = f"{file} covers {span_text(epoch, float(t_s[0]), float(t_s[-1]))}"
-    if _covered(t_s, strips) < len(strips):
+    if n_covered(t_s, strips) < len(strips):
         for other, later_s in other_scales(epoch, time_system, float(t_s[0])):
-            if _covered(t_s + later_s, strips) == len(strips):
+            if n_covered(t_s + later_s, strips) == len(strips):
                 return f"{text}; with TIME_SYSTEM {other}, not {time_system}, it would cover every strip"
     return text
 
 
 def check_orbit_dates(covers: str, epoch: Epoch, t_s: Floats, file: str, strips: Sequence[Span]) -> None:
     """`RawDataError` where states at `t_s` (N,), s, cover no strip; `covers` as `orbit_covers` has it."""
-    if strips and not _covered(t_s, strips):
+    if strips and not n_covered(t_s, strips):
         expected = f"states over {_dates_of(epoch, strips)}"
         raise RawDataError(file, "time of the states", covers.removeprefix(f"{file} covers "), expected)
 
@@ -74,8 +75,8 @@ def _dates_of(epoch: Epoch, strips: Sequence[Span]) -> str:
     return f"the strips, {span_text(epoch, first, last)} (utc_first_row of strips.csv)"
 
 
-def _covered(t_s: Floats, strips: Sequence[Span]) -> int:
-    """How many strips lie within the times of an orbit."""
+def n_covered(t_s: Floats, strips: Sequence[Span]) -> int:
+    """How many strips lie within the times (N,) of an orbit, or of a segment of one."""
     return sum(bool(t_s[0] <= first and last <= t_s[-1]) for first, last in strips)
 
 

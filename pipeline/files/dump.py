@@ -204,9 +204,7 @@ def open_dump(
         return root
     views = open_cameras(root, allow_stale_eop=allow_stale_eop, sky_alone=sky_alone)
     names = [one.camera for one in views]
-    if len(views) > 1 and camera is None and sky_alone:
-        return views[0]
-    if camera is None and len(views) == 1:
+    if camera is None and (sky_alone or len(views) == 1):
         return views[0]
     if camera not in names:
         expected = f"one of {', '.join(names)}" if names[0] else "none: the dump has one camera"
@@ -285,7 +283,7 @@ def _view(parts: DumpParts, camera: str) -> Dump:
             "targets": len(surveyed.targets),
             "points": sum(len(m.ccd) for m in parts.listed_points[0] if m.strip_id not in others),
             "strips": len(every_strip) - len(others) + sum(e.subject.kind is Kind.STRIP for e in unreadable),
-            "exposures": parts.listed_heads[0].n_exposures if of_images else 0,
+            "exposures": len(parts.listed_heads[0].t_s) if of_images else 0,
         },
     )
 

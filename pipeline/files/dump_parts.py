@@ -84,7 +84,9 @@ class DumpParts:
     def remote_cameras(self) -> dict[str, RemoteCamera]:
         """The remote-sensing cameras by name, and what their files say; the only one has no name."""
         return {
-            name: read_remote_camera(self.root, self._inside(file, name and "cameras"), file)
+            name: read_remote_camera(
+                self.root, self._inside(file, "cameras" if name else "files.remote_camera"), file
+            )
             for name, file in self.head.remote_cameras.items()
         }
 
@@ -92,9 +94,8 @@ class DumpParts:
     def installations(self) -> dict[str, schema.InstallationFile]:
         """Installation matrices of the reference head in cameras that have files of their own."""
         stated = {one.id: one.installation for one in self.head.cameras if one.installation is not None}
-        files = stated.items()
         kind = schema.InstallationFile
-        return {name: read_toml(self._inside(file, "cameras"), kind, file) for name, file in files}
+        return {name: read_toml(self._inside(file, "cameras"), kind, file) for name, file in stated.items()}
 
     @cached_property
     def kernels(self) -> Kernels:
@@ -102,10 +103,7 @@ class DumpParts:
         spice = self.head.spice
         if spice is None:
             return NO_KERNELS
-        paths = tuple(
-            path_inside(self.root, name, file="dump.toml", field=f"spice.kernels.{n}")
-            for n, name in enumerate(spice.kernels)
-        )
+        paths = tuple(self._inside(name, f"spice.kernels.{n}") for n, name in enumerate(spice.kernels))
         return Kernels(files=tuple(spice.kernels), paths=paths, spacecraft=spice.spacecraft)
 
     @cached_property
@@ -215,14 +213,10 @@ class DumpParts:
             return NO_TERRAIN
         stated, names = self.head.terrain, self.head.files.terrain
         if names is None or stated is None:
-            known = (self.targets[0], *self.listed_points[1])
-            lat, lon, heights = (
-                np.concatenate([getattr(surveyed, name) for surveyed in known])
-                for name in ("lat_rad", "lon_rad", "height_m")
-            )
-            return TargetHeights(unit_vectors(lon, lat), heights)
-        paths = (path_inside(self.root, name, file="dump.toml", field="files.terrain") for name in names)
-        terrain = TerrainFiles(tuple(names), tuple(paths), stated.height_kind)
+            known = SurveyedPoints.together((self.targets[0], *self.listed_points[1]))
+            return TargetHeights(unit_vectors(known.lon_rad, known.lat_rad), known.height_m)
+        paths = tuple(self._inside(name, "files.terrain") for name in names)
+        terrain = TerrainFiles(tuple(names), paths, stated.height_kind)
         for name, path in zip(terrain.files, terrain.paths):
             check_bytes(path, name, MAX_TERRAIN_BYTES)
         surface_of(terrain)  # an invalid file is reported before hours of work
@@ -262,10 +256,10 @@ class DumpParts:
         return []
 
     def _path(self, key: str) -> Path:
-        return path_inside(self.root, self.head.files.single[key], file="dump.toml", field=f"files.{key}")
+        return self._inside(self.head.files.single[key], f"files.{key}")
 
-    def _inside(self, file: str, table: str) -> Path:
-        return path_inside(self.root, file, file="dump.toml", field=table or "files.remote_camera")
+    def _inside(self, file: str, field: str) -> Path:
+        return path_inside(self.root, file, file="dump.toml", field=field)
 
     def _is_without(self, key: str) -> bool:
         """Whether the targets, or the points, are not stated or not needed."""
@@ -274,15 +268,9 @@ class DumpParts:
     def _exposed(self) -> tuple[Floats, str]:
         """Instants of all exposures and attitudes, and the file of the first."""
         heads = self.heads[0]
-        of_head = [
-            head.source.rows.t_s
-            if isinstance(head.source, SolvedAttitudes)
-            else np.array([exposure.t_s for exposure in head.source.exposures])
-            for head in heads
-        ]
         first = heads[0].source
         file = first.file if isinstance(first, SolvedAttitudes) else self.head.files.exposures
-        return np.concatenate(of_head), file or f"exposures of {heads[0].name}"
+        return np.concatenate([head.t_s for head in heads]), file or f"exposures of {heads[0].name}"
 
 
 def _spans(strips: Sequence[Strip]) -> list[Span]:

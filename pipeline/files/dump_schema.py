@@ -385,22 +385,20 @@ class DumpFile(_Strict):
         """Fields of this file that name another file of the dump, with the names."""
         files = {f"files.{key}": name for key, name in self.files.single.items()}
         files |= {f"files.terrain.{n}": name for n, name in enumerate(self.files.terrain or ())}
-        keys = ("installation", "camera", "exposures", "centroids", "attitudes")
-        heads = {
-            f"star_cameras.{n}.{key}": name
-            for n, head in enumerate(self.star_cameras)
-            for key in keys
-            if (name := getattr(head, key)) is not None
+        keys = {
+            "star_cameras": ("installation", "camera", "exposures", "centroids", "attitudes"),
+            "cameras": ("file", "installation"),
         }
-        cameras = {
-            f"cameras.{n}.{key}": name
-            for n, camera in enumerate(self.cameras)
-            for key in ("file", "installation")
-            if (name := getattr(camera, key)) is not None
+        of_rows = {
+            f"{table}.{n}.{key}": name
+            for table, of_table in keys.items()
+            for n, row in enumerate(getattr(self, table))
+            for key in of_table
+            if (name := getattr(row, key)) is not None
         }
         kernels = self.spice.kernels if self.spice else []
         files |= {"gyro.file": self.gyro.file} if self.gyro else {}
-        return files | heads | cameras | {f"spice.kernels.{n}": name for n, name in enumerate(kernels)}
+        return files | of_rows | {f"spice.kernels.{n}": name for n, name in enumerate(kernels)}
 
     @model_validator(mode="after")
     def _star_side_is_stated_once(self) -> Self:

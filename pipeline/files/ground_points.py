@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from boresight.geometry.geoid import egm96
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.text_files import each_once, path_inside, read_table
-from boresight.records.record import Bools, Floats, Ints, array, record, scalar
+from boresight.records.record import Floats, Ints, RowRecord, array, record, scalar
 
 __all__ = [
     "NO_POINTS",
@@ -32,7 +31,7 @@ OF_PLACE = "lat_deg lon_deg height_m height_kind sigma_east_m sigma_north_m sigm
 
 
 @record
-class SurveyedPoints:
+class SurveyedPoints(RowRecord):
     """Points on the ground. Row n of every array is the same point."""
 
     targets: tuple[Target, ...] = array("N", "ids, ITRS positions and sigmas")
@@ -54,7 +53,7 @@ class ChipFile:
 
 
 @record(kw_only=True)
-class StripPoints:
+class StripPoints(RowRecord):
     """Measured image points of one strip. Row n of every array is the same measurement."""
 
     strip_id: str = scalar("id of the strip in the dump")
@@ -66,17 +65,6 @@ class StripPoints:
     def of(self, ccds: Sequence[int]) -> StripPoints:
         """The measurements in some of the CCDs."""
         return self.take(np.isin(self.ccd, ccds))
-
-    def take(self, which: Bools) -> StripPoints:
-        """The measurements that a mask (N,) selects."""
-        rows = np.flatnonzero(which)
-        return replace(
-            self,
-            targets=tuple(self.targets[n] for n in rows),
-            ccd=self.ccd[rows],
-            xy_px=self.xy_px[rows],
-            cov_px=self.cov_px[rows],
-        )
 
 
 # A strip without measured points.
@@ -100,9 +88,7 @@ def read_targets(
 
     `RawDataError` for a table that is not valid, names a target twice, or has none.
     """
-    rows = read_table(path, schema.TargetRow, file)
-    if not rows:
-        raise RawDataError(file, "rows", "none", "at least one target")
+    rows = read_table(path, schema.TargetRow, file, "at least one target")
     each_once([row.id for row in rows], file)
     chips = tuple(
         ChipFile(row.id, row.chip, path_inside(root, row.chip, file=file, field=f"line {n + 2}, chip"))
@@ -118,9 +104,7 @@ def read_points(
 
     The rows of one id are one point on the ground and must agree in its coordinates.
     """
-    rows = read_table(path, schema.PointRow, file)
-    if not rows:
-        raise RawDataError(file, "rows", "none", "at least one point")
+    rows = read_table(path, schema.PointRow, file, "at least one point")
     first: dict[str, schema.PointRow] = {}
     seen: set[tuple[str, str, int]] = set()
     for n, row in enumerate(rows):

@@ -14,7 +14,8 @@ from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.orbit import Orbit
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
-from boresight.pipeline.files.orbit_file import Ephemeris, covered_by, joined_segments, read_segments
+from boresight.pipeline.files.dates import n_covered
+from boresight.pipeline.files.orbit_file import Ephemeris, joined_segments, read_segments
 from boresight.pipeline.files.spice_kernels import SPK, Kernels, is_kernel, read_spk
 from boresight.pipeline.files.text_files import read_table
 from boresight.pipeline.files.usual_mistakes import find_orbit_fault
@@ -34,7 +35,7 @@ def segment_over(
     segments: tuple[Ephemeris, ...], strips: list[tuple[float, float]], file: str
 ) -> tuple[Ephemeris, str]:
     """All segments joined or, if they do not follow or cover a strip, the one that covers most; its name."""
-    covered = covered_by(segments, strips)
+    covered = [n_covered(one.t_s, strips) for one in segments]
     if any(covered) and (all_of_them := joined_segments(segments)) is not None:
         return all_of_them, file
     n = covered.index(max(covered))

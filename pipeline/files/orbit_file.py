@@ -21,7 +21,7 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.text_files import NUMBER, PLAIN_NUMBER, read_message
 from boresight.pipeline.files.xml_files import elements_of, numbers_of, xml_root
 from boresight.pipeline.files.xml_files import text_of as element_text
-from boresight.records.record import Floats, array, record, scalar
+from boresight.records.record import Floats, RowRecord, array, record, scalar
 
 __all__ = [
     "SAME_FRAME",
@@ -30,7 +30,6 @@ __all__ = [
     "check_components",
     "check_states",
     "check_time_system",
-    "covered_by",
     "joined_segments",
     "orbit_message",
     "read_oem",
@@ -74,7 +73,7 @@ _ACCELERATIONS = ("X_DDOT", "Y_DDOT", "Z_DDOT")  # the same of the optional ones
 
 
 @record(kw_only=True)
-class Ephemeris:
+class Ephemeris(RowRecord):
     """States of one segment of an OEM."""
 
     epoch: Epoch = scalar("zero of `t_s`: whole TAI second at or before the first segment's first state")
@@ -117,11 +116,6 @@ def read_segments(path: Path, file: str) -> tuple[Ephemeris, ...]:
     return tuple(replace(one, epoch=epoch, t_s=one.t_s + later) for one, later in zip(parts, later_s))
 
 
-def covered_by(segments: Sequence[Ephemeris], spans: Sequence[tuple[float, float]]) -> list[int]:
-    """How many `spans`, TAI seconds since the epoch, each segment covers."""
-    return [sum(bool(one.t_s[0] <= begin and end <= one.t_s[-1]) for begin, end in spans) for one in segments]
-
-
 def joined_segments(segments: Sequence[Ephemeris]) -> Ephemeris | None:
     """All segments as one ephemeris, the begin of each kept; None where they overlap, or differ in frame or
     interpolation.
@@ -134,14 +128,8 @@ def joined_segments(segments: Sequence[Ephemeris]) -> Ephemeris | None:
         return None
     if any(a.t_s[-1] > b.t_s[0] for a, b in pairwise(segments)):
         return None
-    return replace(
-        first,
-        t_s=np.concatenate([one.t_s for one in segments]),
-        positions_m=np.concatenate([one.positions_m for one in segments]),
-        velocities_m_s=np.concatenate([one.velocities_m_s for one in segments]),
-        last_time=segments[-1].last_time,
-        begins=tuple(np.cumsum([len(one.t_s) for one in segments[:-1]]).tolist()),
-    )
+    begins = tuple(np.cumsum([len(one.t_s) for one in segments[:-1]]).tolist())
+    return replace(Ephemeris.together(segments), last_time=segments[-1].last_time, begins=begins)
 
 
 @record(by_value=True)
@@ -172,7 +160,7 @@ def _ephemeris(meta: _Keywords, times: list[str], values: Floats, file: str) -> 
     frame, R = _frame(meta, epoch, t_s, file)
     method, degree = _method(meta, file), _degree(meta, file)
     positions, velocities = R.apply(1e3 * values[:, :3]), R.apply(1e3 * values[:, 3:])
-    check_states(t_s, positions, velocities, file, degree + 1 if method == "lagrange" else degree // 2 + 1)
+    check_states(t_s, positions, file, degree + 1 if method == "lagrange" else degree // 2 + 1)
     return Ephemeris(
         epoch=epoch,
         t_s=t_s,
@@ -333,11 +321,9 @@ def _frame(meta: _Keywords, epoch: Epoch, t_s: Floats, file: str) -> tuple[Liter
 
 def _method(meta: _Keywords, file: str) -> Literal["lagrange", "hermite"]:
     method = meta.values.get("INTERPOLATION", "LAGRANGE").upper()
-    if method == "LAGRANGE":
-        return "lagrange"
-    if method == "HERMITE":
-        return "hermite"
-    raise meta.error("INTERPOLATION", method, "LAGRANGE or HERMITE", file)
+    if method not in ("LAGRANGE", "HERMITE"):
+        raise meta.error("INTERPOLATION", method, "LAGRANGE or HERMITE", file)
+    return "lagrange" if method == "LAGRANGE" else "hermite"
 
 
 def _degree(meta: _Keywords, file: str) -> int:
@@ -402,7 +388,7 @@ def check_components(values: Floats, file: str) -> None:
             raise RawDataError(file, f"state {bad[0] + 1}, {name}", str(numbers[bad[0]]), expected)
 
 
-def check_states(t_s: Floats, positions: Floats, velocities: Floats, file: str, least: int = 8) -> None:
+def check_states(t_s: Floats, positions: Floats, file: str, least: int = 8) -> None:
     """`RawDataError` for too few states, times (N,) not increasing, positions (N, 3), m, of no orbit."""
     if len(t_s) < max(least, 2):
         raise RawDataError(file, "states", str(len(t_s)), f"at least {max(least, 2)}")

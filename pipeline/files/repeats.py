@@ -92,10 +92,17 @@ def same_exposure(images: StarImages, a: Exposure, b: Exposure) -> bool:
 
 
 def same_ground(a: Strip, b: Strip, ccd: int, span_s: tuple[float, float]) -> bool:
-    """Whether two images of a CCD show the same ground at the same times; true where that is not seen."""
+    """Whether windows of two images of a CCD show the same ground at the same times; true where that is not
+    seen.
+    """
     if a.images.paths.get(ccd) == b.images.paths.get(ccd):
         return True
-    correlations = list(_correlations(a, b, ccd, span_s))
+    (begin, end), correlations = span_s, list[float]()
+    for share in np.linspace(0.1, 0.9, WINDOWS).tolist():
+        with suppress(RawDataError, ValueError, KeyError):
+            of_a, of_b = (_window(strip, ccd, begin + share * (end - begin), share) for strip in (a, b))
+            if of_a.std() > 0.0 and of_b.std() > 0.0:
+                correlations.append(float(np.corrcoef(of_a.ravel(), of_b.ravel())[0, 1]))
     return not correlations or float(np.median(correlations)) >= SAME_GROUND
 
 
@@ -105,16 +112,6 @@ def has_one_grey_value(strip: Strip, ccd: int, t_s: float) -> bool:
         return bool(np.ptp(_window(strip, ccd, t_s, 0.5)) == 0.0)
     except RawDataError:
         return False
-
-
-def _correlations(a: Strip, b: Strip, ccd: int, span_s: tuple[float, float]) -> Iterator[float]:
-    """Correlations of windows of two images of a CCD at the same times."""
-    begin, end = span_s
-    for share in np.linspace(0.1, 0.9, WINDOWS).tolist():
-        with suppress(RawDataError, ValueError, KeyError):
-            of_a, of_b = (_window(strip, ccd, begin + share * (end - begin), share) for strip in (a, b))
-            if of_a.std() > 0.0 and of_b.std() > 0.0:
-                yield float(np.corrcoef(of_a.ravel(), of_b.ravel())[0, 1])
 
 
 def _window(strip: Strip, ccd: int, t_s: float, share: float) -> Floats:

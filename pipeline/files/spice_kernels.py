@@ -60,16 +60,6 @@ class Kernels:
 NO_KERNELS = Kernels(files=(), paths=(), spacecraft=None)  # of a dump without SPICE files
 
 
-def toolkit(file: str) -> Any:
-    """The module spiceypy; `RawDataError` about the kernel `file` where it is not installed."""
-    try:
-        import spiceypy
-    except ImportError as error:
-        remedy = "spiceypy: pip install 'boresight[spice]'"
-        raise RawDataError(file, "SPICE kernel", str(error), remedy) from error
-    return spiceypy
-
-
 def is_kernel(path: Path, file: str, kind: str) -> bool:
     """Whether the file is a binary kernel of this kind, CK or SPK; False for one that cannot be read.
 
@@ -86,12 +76,16 @@ def is_kernel(path: Path, file: str, kind: str) -> bool:
 
 
 @contextmanager
-def loaded(path: Path, file: str, kernels: Kernels) -> Iterator[str]:
-    """The binary kernel `file` and the kernels beside it, loaded in the toolkit, by the name to use in it.
+def loaded(path: Path, file: str, kernels: Kernels) -> Iterator[tuple[Any, str]]:
+    """The toolkit with the binary kernel `file` and those beside it loaded, and the name to use in it.
 
-    Errors of the toolkit become `RawDataError` about `file`.
+    `RawDataError` about `file` where the toolkit is not installed, and for its errors.
     """
-    spice = toolkit(file)
+    try:
+        import spiceypy as spice
+    except ImportError as error:
+        remedy = "spiceypy: pip install 'boresight[spice]'"
+        raise RawDataError(file, "SPICE kernel", str(error), remedy) from error
     with tempfile.TemporaryDirectory(prefix="boresight-", ignore_cleanup_errors=True) as folder:
         copies = [
             _copy(*one, Path(folder) / f"{n}.kernel")
@@ -100,7 +94,7 @@ def loaded(path: Path, file: str, kernels: Kernels) -> Iterator[str]:
         with _ONE_AT_A_TIME:
             try:
                 with spice.KernelPool(copies):
-                    yield copies[-1]
+                    yield spice, copies[-1]
             except (spice.exceptions.SpiceyError, spice.exceptions.NotFoundError) as error:
                 raise RawDataError(file, "SPICE", _reason(error), _remedy(error)) from error
 
@@ -176,8 +170,7 @@ def read_spk(path: Path, file: str, kernels: Kernels) -> Ephemeris:
 
     Raises `RawDataError`.
     """
-    spice = toolkit(file)
-    with loaded(path, file, kernels) as spk:
+    with loaded(path, file, kernels) as (spice, spk):
         body = _body(spice, spk, kernels, file)
         cover = spice.spkcov(spk, body)
         ends = np.array([spice.wnfetd(cover, n) for n in range(spice.wncard(cover))]).reshape(-1, 2)
@@ -188,7 +181,7 @@ def read_spk(path: Path, file: str, kernels: Kernels) -> Ephemeris:
     values = 1e3 * states
     epoch = Epoch(int(np.floor(seconds_from_ephemeris_time(Epoch(0), et[:1])[0])))
     t_s = seconds_from_ephemeris_time(epoch, et)
-    check_states(t_s, values[:, :3], values[:, 3:], file)
+    check_states(t_s, values[:, :3], file)
     first, last = epoch.utc_from_seconds([float(t_s[0]), float(t_s[-1])])
     return Ephemeris(
         epoch=epoch,
@@ -256,8 +249,7 @@ def read_ck(path: Path, file: str, epoch: Epoch, frame: str, kernels: Kernels) -
     by SCLK and FK among the `kernels`, and an LSK where the clock counts in TDT. `RawDataError` with file,
     field, found and expected.
     """
-    spice = toolkit(file)
-    with loaded(path, file, kernels) as ck:
+    with loaded(path, file, kernels) as (spice, ck):
         R_sf, instrument = _from_ck_frame(spice, frame)
         ticks = _ticks(spice, ck, instrument, file)
         found = [spice.ckgp(instrument, tick, 0, "J2000")[0] for tick in ticks.tolist()]

@@ -158,10 +158,11 @@ class Head:
         return None if self.gyro is None else self.gyro.around(t_s, nominal)
 
     @property
-    def n_exposures(self) -> int:
-        """Number of exposures, or of attitudes."""
-        source = self.source
-        return len(source.rows.t_s if isinstance(source, SolvedAttitudes) else source.exposures)
+    def t_s(self) -> Floats:
+        """Instants (K,) of its exposures, or attitudes, TAI seconds since the dump's epoch."""
+        if isinstance(self.source, SolvedAttitudes):
+            return self.source.rows.t_s
+        return np.array([exposure.t_s for exposure in self.source.exposures])
 
 
 def open_heads(
@@ -205,11 +206,23 @@ def _head(
         name = str(getattr(head, key))
         return path_inside(root, name, file="dump.toml", field=f"{field}.{key}"), name
 
-    installation_path, installation_file = inside("installation")
-    installation, source = _each(
-        lambda: read_toml(installation_path, schema.InstallationFile, installation_file),
-        lambda: _source(root, head, inside, epoch, table, kernels),
-    )
+    def read_source() -> StarImages | StarCentroids | SolvedAttitudes:
+        if head.level == "attitudes":
+            return _attitudes(head, *inside("attitudes"), epoch, table, kernels)
+        reads: list[Callable[[], Any]] = [
+            lambda: _camera(*inside("camera")),
+            lambda: _exposures(root, *inside("exposures"), epoch),
+        ]
+        if head.level == "centroids":
+            reads.append(lambda: read_centroids(*inside("centroids")))
+        (camera, bits), exposures, *lists = _each(*reads)
+        if not lists:
+            return StarImages(camera, bits, exposures)
+        of_exposures = tuple(lists[0].get(exposure.file) for exposure in exposures)
+        return StarCentroids(camera, exposures, str(head.centroids), of_exposures)
+
+    path, file = inside("installation")
+    installation, source = _each(lambda: read_toml(path, schema.InstallationFile, file), read_source)
     return Head(
         name=head.name,
         R_cs0=Rotation.from_quat(installation.quaternion_cs),
@@ -219,29 +232,6 @@ def _head(
         interpolation=head.interpolation,
         source=source,
     )
-
-
-def _source(
-    root: Path,
-    head: schema.HeadFile,
-    inside: Callable[[str], tuple[Path, str]],
-    epoch: Epoch,
-    table: EarthOrientationTable,
-    kernels: Kernels,
-) -> StarImages | StarCentroids | SolvedAttitudes:
-    if head.level == "attitudes":
-        return _attitudes(head, *inside("attitudes"), epoch, table, kernels)
-    reads: list[Callable[[], Any]] = [
-        lambda: _camera(*inside("camera")),
-        lambda: _exposures(root, *inside("exposures"), epoch),
-    ]
-    if head.level == "centroids":
-        reads.append(lambda: read_centroids(*inside("centroids")))
-    (camera, bits), exposures, *lists = _each(*reads)
-    if not lists:
-        return StarImages(camera, bits, exposures)
-    of_exposures = tuple(lists[0].get(exposure.file) for exposure in exposures)
-    return StarCentroids(camera, exposures, str(head.centroids), of_exposures)
 
 
 def _each(*reads: Callable[[], Any]) -> list[Any]:
@@ -451,9 +441,7 @@ def _smooth_of(
 
 
 def _exposures(root: Path, path: Path, file: str, epoch: Epoch) -> tuple[Exposure, ...]:
-    rows = read_table(path, schema.ExposureRow, file)
-    if not rows:
-        raise RawDataError(file, "rows", "none", "at least one exposure")
+    rows = read_table(path, schema.ExposureRow, file, "at least one exposure")
     each_once([row.id for row in rows], file)
     t_s = seconds_of(epoch, [row.utc_mid for row in rows], file, "utc_mid")
     if len(bad := np.flatnonzero(np.diff(t_s) <= 0)):

@@ -69,9 +69,7 @@ def read_strips(
 
     `RawDataError` for a table that is not valid, or whose CCDs of one strip contradict one another.
     """
-    rows = read_table(path, schema.StripRow, file)
-    if not rows:
-        raise RawDataError(file, "rows", "none", "at least one strip")
+    rows = read_table(path, schema.StripRow, file, "at least one strip")
     each_once([f"{row.id}, ccd {row.ccd}" for row in rows], file)
     t_s = seconds_of(epoch, [row.utc_first_row for row in rows], file, "utc_first_row")
     of_strip: dict[str, list[StripMember]] = {}

@@ -24,7 +24,6 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import check_extent, limited_content
 
 __all__ = [
-    "GZIP",
     "NUMBER",
     "PLAIN_NUMBER",
     "check_number",
@@ -47,7 +46,7 @@ Model = TypeVar("Model", bound=BaseModel)
 # makes Python take 4 bytes for each.
 MAX_TEXT_BYTES = 128 * 2**20
 MAX_TOML_BYTES = 2**20
-GZIP = b"\x1f\x8b"  # first bytes of a gzip file
+_GZIP = b"\x1f\x8b"  # first bytes of a gzip file
 MAX_KEY_PARTS = 32  # of a dotted key; the parser's time grows with the square
 MAX_WRONG_ROWS = 100  # of a table, before it is given up
 MAX_ROWS = 500_000  # of a table; a record takes 1 kB
@@ -92,17 +91,18 @@ def read_text(path: Path, file: str, max_bytes: int = MAX_TEXT_BYTES) -> str:
     return utf8_text(limited_content(path, file, "a readable file", max_bytes), file)
 
 
-def read_message(path: Path, file: str, max_bytes: int = MAX_TEXT_BYTES) -> str:
-    """The text of a message, plain as `read_text` has it or compressed with gzip (RFC 1952).
-
-    `RawDataError` also for a damaged gzip file and for one of more than `max_bytes` unpacked.
-    """
-    raw = limited_content(path, file, "a readable file", max_bytes)
-    return utf8_text(unpacked(raw, file, max_bytes) if raw.startswith(GZIP) else raw, file)
+def read_message(path: Path, file: str) -> str:
+    """The text of a message, as `read_text` has it, plain or `unpacked`."""
+    raw = limited_content(path, file, "a readable file", MAX_TEXT_BYTES)
+    return utf8_text(unpacked(raw, file, MAX_TEXT_BYTES), file)
 
 
 def unpacked(raw: bytes, file: str, max_bytes: int) -> bytes:
-    """The content of a gzip file, at most `max_bytes`; `RawDataError` for more, or for damage."""
+    """The content of a file that is compressed with gzip (RFC 1952), of another one the bytes themselves;
+    `RawDataError` for more than `max_bytes`, or for damage.
+    """
+    if not raw.startswith(_GZIP):
+        return raw
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(raw)) as stream:
             content = stream.read(max_bytes + 1)
@@ -169,8 +169,10 @@ def read_toml(path: Path, model: type[Model], file: str) -> Model:
         raise _raw_data_error(error, model, file, "") from error
 
 
-def read_table(path: Path, model: type[Model], file: str) -> list[Model]:
-    """The rows of a CSV file (RFC 4180, header line) as records of `model`; `RawDataError` if not valid."""
+def read_table(path: Path, model: type[Model], file: str, least: str = "") -> list[Model]:
+    """The rows of a CSV file (RFC 4180, header line) as records of `model`; `RawDataError` if not valid, or
+    where there is none and `least` says what is needed: "at least one strip".
+    """
     required = [name for name, field in model.model_fields.items() if field.is_required()]
     optional = [name for name in model.model_fields if name not in required]
     numeric = [name for name, field in model.model_fields.items() if field.annotation in (int, float)]
@@ -191,6 +193,8 @@ def read_table(path: Path, model: type[Model], file: str) -> list[Model]:
     if wrong:
         wrong[0].others = tuple(wrong[1:])
         raise wrong[0]
+    if least and not records:
+        raise RawDataError(file, "rows", "none", least)
     return records
 
 

@@ -85,9 +85,9 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
     write_text(path, json_text(content) + "\n")
 
 
-def write_figure(path: Path, figure: Figure, dpi: int = 120) -> None:
+def write_figure(path: Path, figure: Figure) -> None:
     """Write a figure as PNG."""
-    write_whole(path, lambda target: figure.savefig(target, format="png", dpi=dpi))
+    write_whole(path, lambda target: figure.savefig(target, format="png", dpi=120))
 
 
 def remove_abandoned(folder: Path) -> None:

@@ -17,7 +17,7 @@ from defusedxml.common import DefusedXmlException
 
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.content import check_extent, limited_content
-from boresight.pipeline.files.text_files import GZIP, MAX_TEXT_BYTES, NUMBER, unpacked, utf8_text
+from boresight.pipeline.files.text_files import MAX_TEXT_BYTES, NUMBER, unpacked, utf8_text
 
 __all__ = ["elements_of", "numbers_of", "read_xml", "text_of", "whole_of", "xml_of_bytes", "xml_root"]
 
@@ -30,7 +30,7 @@ _ENCODING = re.compile(rb"""\s*<\?xml[^>]{0,200}?\sencoding\s*=\s*["']([A-Za-z0-
 def read_xml(path: Path, file: str) -> Element:
     """The root of an XML file, plain or compressed with gzip; `RawDataError` for anything else, or a DTD."""
     raw = limited_content(path, file, "a readable file", MAX_TEXT_BYTES)
-    return xml_of_bytes(unpacked(raw, file, MAX_TEXT_BYTES) if raw.startswith(GZIP) else raw, file)
+    return xml_of_bytes(unpacked(raw, file, MAX_TEXT_BYTES), file)
 
 
 def xml_of_bytes(raw: bytes, file: str) -> Element:

@@ -265,15 +265,15 @@ class Panel:
         x = np.array([self.x.low, self.x.high])[[0, 1, 1, 0]]
         self.line(x, [low, low, high, high], Pen(colour="none", fill=FILL))
 
-    def words(self, place: Floats, text: str, size: float = KEY_PT, anchor: str = "start") -> None:
+    def words(self, place: Floats, text: str) -> None:
         """A text beside a place (2,)."""
         (x, y), *_ = self.at(place[:1], place[1:]).tolist()
-        self.figure.text(x, y + 0.35 * size, text, size, anchor)
+        self.figure.text(x, y + 0.35 * KEY_PT, text, KEY_PT, "start")
 
-    def steps(self, edges: Any, values: Any, pen: Pen, *, is_turned: bool = False, label: str = "") -> None:
+    def steps(self, edges: Any, values: Any, pen: Pen, *, is_turned: bool = False) -> None:
         """A histogram: values (N,) between edges (N + 1,) of x, or of y."""
         along, out = np.repeat(edges, 2), np.concatenate([[0.0], np.repeat(values, 2), [0.0]])
-        self.line(*((out, along) if is_turned else (along, out)), pen, label)
+        self.line(*((out, along) if is_turned else (along, out)), pen)
 
     def arrows(self, start: Floats, end: Floats, pen: Pen = PLAIN) -> None:
         """Arrows from points (N, 2) to points (N, 2)."""

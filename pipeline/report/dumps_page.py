@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.files.table_files import read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.files.whole_file import write_text
@@ -97,7 +98,7 @@ def _common(result: Path, installation: dict[str, Any], omissions: list[dict[str
         "counts": {name: number_from(installation, "installation.json", name, ".0f") for name in names},
         "omissions": omissions,
         "version": str(installation.get("version")),
-        "identity": identity_of_result(result).items(),
+        "identity": plain(identity_of_result(result)),
     }
 
 

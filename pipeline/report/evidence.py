@@ -7,7 +7,7 @@ The same inputs, settings and version give identical files.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import chain, islice
@@ -233,16 +233,11 @@ def _altitude_m(dump: Dump, calibration: DumpCalibration) -> Floats:
 
 def _inputs(dump: Dump) -> pa.Table:
     """Input files by name with size and SHA-256."""
-    rows = [_fingerprint(dump.root / name, name) for name in sorted(set(_files(dump)))]
+    names = {"dump.toml", *_head(dump).paths.values()}
+    names |= {exposure.file for exposure in dump.exposures} | {chip.file for chip in dump.chips}
+    names |= {name for strip in dump.strips for name in strip.images.names.values()}
+    rows = [_fingerprint(dump.root / name, name) for name in sorted(names)]
     return arrow_rows(rows, pa.schema(list(EVIDENCE["inputs"].items())))
-
-
-def _files(dump: Dump) -> Iterator[str]:
-    yield "dump.toml"
-    yield from _head(dump).paths.values()
-    yield from (exposure.file for exposure in dump.exposures)
-    yield from (name for strip in dump.strips for name in strip.images.names.values())
-    yield from (chip.file for chip in dump.chips)
 
 
 def _head(dump: Dump) -> DumpFile:
@@ -361,7 +356,7 @@ def _matches(calibration: DumpCalibration) -> pa.Table:
 
 def star_pictures(task: SkyTask, named: NamedStars) -> tuple[MatchPictures, ...]:
     """Pictures of the stars with names; none where the strip cannot be read any more."""
-    motion, stars = strip_motion(task, task.R_cs0), named.found.take(named.rows)
+    motion, stars = strip_motion(task), named.found.take(named.rows)
     pictures = []
     for k, ccd in enumerate(stars.ccd.tolist()):
         own = motion.of(ccd, stars.xy_px[k, 1:])

@@ -36,11 +36,10 @@ def findings(
     """What looks wrong in the images and targets of a calibration, the most specific first; may be empty."""
     rows = [row for row in ground.to_pylist() if row["state"] != State.OUT_OF_VIEW]
     strips = {one.strip_id: one for scene in scenes for one in scene.strips}
-    share = _share_of_swath(dump, calibration)
     return [
         *calibration.verdict.findings,
         *(cloud for strip_id, one in strips.items() for cloud in clouds(strip_id, _looks(one, rows))),
-        *spread(share),
+        *spread(_share_of_swath(dump, calibration)),
     ]
 
 

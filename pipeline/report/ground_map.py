@@ -39,7 +39,7 @@ from boresight.pipeline.files.terrain_files import TargetHeights, surface_of
 from boresight.pipeline.report.star_preview import jpeg_of
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, pushbroom_of
 from boresight.records.ledger import Entry, Kind, State, Subject
-from boresight.records.record import Floats, Ints, array, record, scalar
+from boresight.records.record import Floats, Ints, array, inner, record, scalar
 
 __all__ = [
     "STATES",
@@ -91,16 +91,7 @@ class StripOnGround:
     task: StripTask = scalar("strip with the calibrated installation matrix")
     model: Pushbroom = scalar("its rigorous model")
     outlines_e: Floats = array("C, P, 3", "outline of each CCD's footprint, ITRS, m; NaN where it sees none")
-
-    @property
-    def strip_id(self) -> str:
-        """Id of the strip."""
-        return self.task.strip.strip_id
-
-    @property
-    def p_e(self) -> dict[str, Floats]:
-        """Positions (3,) ITRS, m, of the targets that were searched in it or measured by others."""
-        return {target.target_id: target.p_e for target in (*self.task.targets, *self.task.points.targets)}
+    strip_id = inner[str]("task.strip.strip_id", "id of the strip")
 
     def box_m(self, scene: MapScene) -> tuple[float, float, float, float]:
         """West, south, east, north end of what it shows, m on the plane of the scene."""
@@ -118,15 +109,11 @@ class MapScene:
     strips: tuple[StripOnGround, ...] = scalar("in order of time")
     box_m: tuple[float, float, float, float] = scalar("west, south, east, north end of the map, m")
 
-    def plane(self) -> Transformer:
-        """Longitude, latitude (degrees) to metres east, north."""
-        return local_plane(self.lat_deg, self.lon_deg)
-
     def plane_m(self, p_e: Floats) -> Floats:
         """Points (N, 3) ITRS to metres (N, 2) east, north."""
         lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
         degrees = np.degrees(lon).tolist(), np.degrees(lat).tolist()  # of one-element arrays pyproj warns
-        return np.column_stack(self.plane().transform(*degrees))
+        return np.column_stack(local_plane(self.lat_deg, self.lon_deg).transform(*degrees))
 
 
 @cache
@@ -226,14 +213,14 @@ def _rows_of_strip(one: StripOnGround, calibration: DumpCalibration) -> Iterator
             size = float(np.linalg.norm(residuals_m[n, :2]))
             numbers |= {"residual_m": size, "sigmas": float(np.sqrt(found.statistic[row]))}
         yield _row(one, entry, state, matched.xy_px[n]) | numbers
-    p_e = one.p_e
+    places = one.task.places
     for entry in matched.omissions:
         subject = entry.subject
         if subject.kind not in (Kind.TARGET, Kind.CHIP):
             continue
         xy_px: Floats = np.full(2, np.nan)
         if subject.ccd >= 0:
-            xy_px = np.concatenate(one.model.pixels_from_ground(subject.ccd, p_e[subject.id][None]))
+            xy_px = np.concatenate(one.model.pixels_from_ground(subject.ccd, places[subject.id].p_e[None]))
         yield _row(one, entry, State.UNMATCHED, xy_px)
 
 
@@ -254,8 +241,8 @@ def _residuals_m(one: StripOnGround, matched: MatchedTargets, rows: Ints, found:
     `rows` (N,) are theirs in `found`, -1 for none.
     """
     residuals_m = np.full((len(rows), 4), np.nan)
-    p_of = one.p_e
-    p_all_e = np.array([p_of[name] for name in matched.target_id.tolist()]).reshape(-1, 3)
+    places = one.task.places
+    p_all_e = np.array([places[name].p_e for name in matched.target_id.tolist()]).reshape(-1, 3)
     for k in np.unique(matched.ccd).tolist():
         here = np.flatnonzero((matched.ccd == k) & (rows >= 0))
         if not len(here):
@@ -304,15 +291,15 @@ def _placed(
     """The rows with their scene and the places of their targets."""
     if not rows:
         return
-    p_of = {target.target_id: target.p_e for target in dump.targets}
+    places = {target.target_id: target for target in dump.targets}
     for one in scene.strips:
-        p_of |= one.p_e
-    p_e = np.array([p_of[str(row["target_id"])] for row in rows])
+        places |= one.task.places
+    p_e = np.array([places[str(row["target_id"])].p_e for row in rows])
     lat, lon, height = geodetic_from_ecef(p_e, WGS84)
     east, north = scene.plane_m(p_e).T
-    places = np.column_stack([np.degrees(lat), np.degrees(lon), height, east, north])
+    columns = np.column_stack([np.degrees(lat), np.degrees(lon), height, east, north])
     warm = _temperatures_c(dump, np.array([row["t_s"] for row in rows], dtype=float))
-    for row, place, temperature in zip(rows, places.tolist(), warm.tolist()):
+    for row, place, temperature in zip(rows, columns.tolist(), warm.tolist()):
         yield row | {"scene": number, "temperature_c": temperature} | dict(zip(PLACES, place))
 
 
@@ -373,7 +360,7 @@ def _lattice(scene: MapScene, box_m: Sequence[float]) -> tuple[Floats, Floats, t
     scale = MOST_SIDE_PX / max(east - west, north - south)
     size = max(2, round((north - south) * scale)), max(2, round((east - west) * scale))
     east_m, north_m = np.meshgrid(np.linspace(west, east, NODES), np.linspace(north, south, NODES))
-    lon, lat = scene.plane().transform(east_m, north_m, direction="INVERSE")
+    lon, lat = local_plane(scene.lat_deg, scene.lon_deg).transform(east_m, north_m, direction="INVERSE")
     return np.radians(lat), np.radians(lon), size
 
 

@@ -13,7 +13,7 @@ from boresight.pipeline.report.check_points import CheckPoint, check_points_on_m
 from boresight.pipeline.report.marks import strip_style
 from boresight.pipeline.report.observations import TargetCard, data_uri, strip_numbers
 from boresight.pipeline.report.saved import Saved
-from boresight.records.ledger import State
+from boresight.records.ledger import State, count_words
 from boresight.records.record import Floats, record, scalar
 
 __all__ = ["Layer", "MapView", "SceneView", "SpotView", "map_view"]
@@ -94,24 +94,30 @@ def map_view(saved: Saved, rows: Sequence[TargetCard]) -> MapView | None:
     stretch = _stretch(column(saved.ground, "residual_m"))
     points = check_points_on_map(saved)
     own = _stretch(np.array([np.hypot(*point.error_m) for point in points]))
-    spots = tuple(_spot(saved, row, origins, scale, stretch, numbers) for row in reversed(rows))
+
+    def spot(row: TargetCard) -> SpotView:
+        at = saved.ground.slice(row.row, 1).to_pylist()[0]
+        ox, oy = origins[at["scene"]]
+        x, y = ox + at["east_m"] * scale, oy - at["north_m"] * scale
+        dx, dy = at["residual_east_m"] * stretch, -at["residual_north_m"] * stretch
+        unused = row.state in (State.REJECTED, State.UNMATCHED)
+        number = numbers.get(row.why or row.state, "") if unused else ""
+        arrow, is_cut = _arrow(x, y, dx, dy), bool(np.hypot(dx, dy) > LONGEST)
+        return SpotView(row=row, x=round(x, 2), y=round(y, 2), arrow=arrow, is_cut=is_cut, number=number)
+
     used = sum(1 for row in rows if row.state == "used")
     return MapView(
         height=round(-(-len(scenes) // columns) * cell_h, 1),
         metres=1.0 / scale,
         residual_metres=1.0 / stretch,
         scenes=tuple(_scene(saved, n, origin, scale) for n, origin in enumerate(origins)),
-        spots=spots,
+        spots=tuple(map(spot, reversed(rows))),
         causes=tuple((numbers[cause], cause, n) for cause, n in causes.most_common()),
         check_metres=1.0 / own if points else 0.0,
         checks=tuple(_check(point, origins[point.scene], scale, own) for point in points),
-        words=f"Map of {_count(len(strip_numbers(saved)), 'strip')} with {_count(len(rows), 'target')}, "
-        f"{used} used.",
+        words=f"Map of {count_words(len(strip_numbers(saved)), 'strip')} with "
+        f"{count_words(len(rows), 'target')}, {used} used.",
     )
-
-
-def _count(n: int, thing: str) -> str:
-    return f"{n} {thing}{'s' if n != 1 else ''}"
 
 
 def _stretch(size_m: Floats) -> float:
@@ -179,23 +185,6 @@ def _box(
 def _outline(points_m: Sequence[Sequence[float]], origin: tuple[float, float], scale: float) -> str:
     xy = [f"{origin[0] + e * scale:.1f} {origin[1] - n * scale:.1f}" for e, n in points_m]
     return f"M{'L'.join(xy)}Z"
-
-
-def _spot(
-    saved: Saved,
-    row: TargetCard,
-    origins: Sequence[tuple[float, float]],
-    scale: float,
-    stretch: float,
-    numbers: dict[str, str],
-) -> SpotView:
-    at = saved.ground.slice(row.row, 1).to_pylist()[0]
-    ox, oy = origins[at["scene"]]
-    x, y = ox + at["east_m"] * scale, oy - at["north_m"] * scale
-    dx, dy = at["residual_east_m"] * stretch, -at["residual_north_m"] * stretch
-    number = numbers.get(row.why or row.state, "") if row.state in (State.REJECTED, State.UNMATCHED) else ""
-    arrow, is_cut = _arrow(x, y, dx, dy), bool(np.hypot(dx, dy) > LONGEST)
-    return SpotView(row=row, x=round(x, 2), y=round(y, 2), arrow=arrow, is_cut=is_cut, number=number)
 
 
 def _arrow(x: float, y: float, dx: float, dy: float) -> str:

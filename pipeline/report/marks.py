@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from boresight.records.record import Bools, Floats
+from boresight.records.record import Floats
 
 __all__ = ["COLOURS", "SHAPES", "line_boxes", "mark_boxes", "place_labels", "strip_style"]
 
@@ -52,7 +52,8 @@ def place_labels(points: Floats, sizes: Floats, gap: float | Floats, frame: Floa
             centre = point + side * (0.5 * size + away)
             box = np.concatenate([centre - 0.5 * size, centre + 0.5 * size])
             inside = (box[:2] >= frame[:2]).all() and (box[2:] <= frame[2:]).all()
-            if inside and not _covers(box, taken).any():
+            covers = (box[:2] < taken[:, 2:]).all(axis=1) & (box[2:] > taken[:, :2]).all(axis=1)
+            if inside and not covers.any():
                 places[n] = centre
                 taken = np.vstack([taken, box])
                 break
@@ -72,8 +73,3 @@ def line_boxes(start: Floats, end: Floats, half: float) -> Floats:
         count = int(np.ceil(np.hypot(*(other - one)) / half)) + 1
         boxes.append(mark_boxes(one + np.linspace(0.0, 1.0, count)[:, None] * (other - one), half))
     return np.vstack(boxes)
-
-
-def _covers(box: Floats, others: Floats) -> Bools:
-    """(M,) whether `box` (4,) shares area with others (M, 4)."""
-    return np.asarray((box[:2] < others[:, 2:]).all(axis=1) & (box[2:] > others[:, :2]).all(axis=1))

@@ -177,7 +177,7 @@ def target_rows(saved: Saved, most_pictures: int) -> tuple[TargetCard, ...]:
             TargetCard(
                 link=f"t{n}",
                 row=n,
-                **{name: row[name] for name in ("strip_id", "target_id", "ccd", "state", "cause", "reason")},
+                **{name: row[name] for name in (*KEYS, "state", "cause", "reason")},
                 shape=shape,
                 colour=colour,
                 numbers=_numbers(saved, n, sighted.get(key)),
@@ -335,9 +335,7 @@ def strip_star_rows(saved: Saved, most_pictures: int) -> tuple[SeenCard, ...]:
             SeenCard(
                 row=n,
                 link=f"s{n}",
-                strip_id=row["strip_id"],
-                target_id=row["target_id"],
-                ccd=row["ccd"],
+                **{name: row[name] for name in KEYS},
                 state="used" if row["kept"] else "rejected",
                 shape=shape,
                 colour=colour,

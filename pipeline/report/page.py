@@ -41,7 +41,7 @@ from boresight.pipeline.report.strips_on_sky import strips_on_sky
 from boresight.pipeline.report.verdict_section import verdict_view
 from boresight.pipeline.results.folder import INTERIOR, VALIDATION
 
-__all__ = ["report_html", "write_no_result", "write_report"]
+__all__ = ["report_parts", "write_no_result", "write_report"]
 
 MOST_MATCHES = 200  # used targets with pictures: more make the page too large for a browser
 MOST_ROWS = 300  # shown of a long table
@@ -53,7 +53,7 @@ def write_report(result: Path) -> Path:
 
     Raises `RawDataError` naming a file of the result that is missing or damaged.
     """
-    parts = _parts(read_saved(result), MOST_MATCHES)
+    parts = report_parts(read_saved(result))
     path = result / "report.html"
 
     def write(target: Path) -> None:
@@ -64,13 +64,10 @@ def write_report(result: Path) -> Path:
     return path
 
 
-def report_html(saved: Saved, *, most_matches: int = MOST_MATCHES) -> str:
-    """The report as HTML text; of used targets `most_matches` are pictured, the largest residuals first."""
-    return "".join(_parts(saved, most_matches))
-
-
-def _parts(saved: Saved, most_matches: int) -> Iterator[str]:
-    """The text of the report, part by part: with thousands of targets tens of MB, as one text twice that."""
+def report_parts(saved: Saved, most_matches: int = MOST_MATCHES) -> Iterator[str]:
+    """The report as HTML, part by part: with thousands of targets tens of MB, as one text twice that.
+    Of used targets `most_matches` are pictured, the largest residuals first.
+    """
     targets, exposures = target_rows(saved, most_matches), exposure_rows(saved)
     strip_stars = strip_star_rows(saved, most_matches)
     of: Any = template("observations.html.j2").module
@@ -251,7 +248,7 @@ def write_no_result(result: Path, dump: Dump, error: DataNotSufficientError) -> 
     every = (*dump.strips, *dump.sky_strips)
     begin = min(strip.t_first_row_s for strip in every)
     end = max(strip.t_first_row_s + strip.lines * strip.row_period_s for strip in every)
-    exposures = sum(head.n_exposures for head in dump.heads)
+    exposures = sum(len(head.t_s) for head in dump.heads)
     rows = [entry.row for entry in error.omissions]
     text = template("no_result.html.j2").render(
         mission=dump.mission,

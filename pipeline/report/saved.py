@@ -9,6 +9,7 @@ from typing import Any, get_type_hints
 import pyarrow as pa
 
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.files.table_files import fixed, read_parquet
 from boresight.pipeline.files.text_files import read_json
 from boresight.pipeline.report.ground_map import SCHEMA as GROUND
@@ -111,7 +112,7 @@ def read_saved(result: Path) -> Saved:
     return Saved(
         installation=installation,
         context=read_json(result / "evidence" / "context.json"),
-        identity=identity_of_result(result).items(),
+        identity=plain(identity_of_result(result)),
         about=saved_about(result),
         **{name: read_json(path) if path.is_file() else {} for name, path in own.items()},
         interior_png=picture.read_bytes() if own["interior"].is_file() and picture.is_file() else b"",

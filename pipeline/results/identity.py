@@ -6,7 +6,6 @@ tells time, commit and command, so that all others are the same, bit for bit, fo
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 from pathlib import Path
 from typing import Annotated, Any
@@ -50,10 +49,6 @@ class Identity:
     command: str = scalar("the command line")
     dump: str = scalar("folder or address of the dump, or of the dumps")
     inputs: str = scalar("digest of all input files, settings and the program")
-
-    def items(self) -> dict[str, str]:
-        """The texts by name, in order."""
-        return {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
 
 
 def result_id(result: Path) -> str:

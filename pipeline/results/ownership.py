@@ -57,16 +57,12 @@ OWN_FILES = (
 OWN_WORK = re.compile(r"(exposures|matching-\d+|sky-stars)/.+\.[0-9a-f]{32}\.parquet")
 
 
-@record
+@record(by_value=True)
 class Origin:
     """What a result is made from, as digests that other places of the same files do not change."""
 
     dump: str = scalar("of dump.toml and the tables that it names; of several dumps, of all of these")
     settings: str = scalar("of the settings that were given")
-
-    def is_same(self, other: Origin) -> bool:
-        """Whether both digests are equal."""
-        return (self.dump, self.settings) == (other.dump, other.settings)
 
 
 def dump_identity(root: Path) -> str:
@@ -132,7 +128,7 @@ def claimed(
     result.mkdir(parents=True, exist_ok=True)
     with _locked(result) as check_is_there:
         before = _accepted(result, origin, overwrite)
-        if before is None or not before.is_same(origin):
+        if before != origin:
             _take_over(result, origin, dumps)
         try:
             yield
@@ -170,7 +166,7 @@ def _accepted(result: Path, origin: Origin, overwrite: bool) -> Origin | None:
         others = sorted(entry.name for entry in result.iterdir() if not ours.fullmatch(entry.name))
         if others:
             raise _not_ours(result, others)
-    elif not before.is_same(origin) and not overwrite:
+    elif before != origin and not overwrite:
         another = "another dump" if before.dump != origin.dump else "other settings"
         expected = "another folder, or --overwrite to replace that result"
         raise RawDataError("--out", str(result), f"a result of {another}", expected)

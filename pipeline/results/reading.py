@@ -178,10 +178,13 @@ def _taken_up(result: Path) -> dict[str, Floats]:
     return dict(zip(names, by_strip.reshape(len(names), -1, 7)))
 
 
-def _within(joint: SavedResult, folder: str) -> dict[str, Floats]:
-    """What joint matrices have taken up of the errors of the strips of one dump."""
-    own = f"{folder}/"
-    return {name.removeprefix(own): G for name, G in joint.taken_up.items() if name.startswith(own)}
+def _with_joint(folder: Path, joint: SavedResult, fields: str) -> SavedResult:
+    """The result of one dump with some fields of the joint one, and what joint matrices have taken up of the
+    errors of its strips.
+    """
+    own, of_joint = f"{folder.name}/", {name: getattr(joint, name) for name in fields.split()}
+    taken_up = {name.removeprefix(own): G for name, G in joint.taken_up.items() if name.startswith(own)}
+    return dataclasses.replace(read_saved_result(folder), taken_up=taken_up, **of_joint)
 
 
 def of_camera(content: dict[str, Any], camera: str, result: Path) -> dict[str, Any]:
@@ -255,8 +258,7 @@ def read_for_dump(result: Path, dump: Path | None, camera: str = "") -> tuple[Pa
         folder = result / folders[0]
         if dump is not None:
             check_dump_of(folder, dump)
-        own = dataclasses.replace(read_saved_result(folder), taken_up=_within(joint, folders[0]))
-        return folder, dataclasses.replace(own, R_cs=joint.R_cs, theta=joint.theta, cov_theta=joint.cov_theta)
+        return folder, _with_joint(folder, joint, "R_cs theta cov_theta")
     if not (names := dumps_in(result)):
         if dump is not None:
             check_dump_of(result, dump)
@@ -265,10 +267,8 @@ def read_for_dump(result: Path, dump: Path | None, camera: str = "") -> tuple[Pa
     for name in names:
         origin = origin_of(result / name)
         if origin is not None and origin.dump == identity:
-            joint, own = read_saved_result(result), read_saved_result(result / name)
-            of_joint = ("R_cs", "theta", "cov_theta", "installation", "earth")
-            own = dataclasses.replace(own, taken_up=_within(joint, name))
-            return result / name, dataclasses.replace(own, **{key: getattr(joint, key) for key in of_joint})
+            of_joint = "R_cs theta cov_theta installation earth"
+            return result / name, _with_joint(result / name, read_saved_result(result), of_joint)
     expected = f"one of the {len(names)} dumps of that result: {', '.join(names)}"
     raise RawDataError(str(result), "--dump", str(dump or "nothing"), expected)
 

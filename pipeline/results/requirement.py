@@ -59,27 +59,21 @@ def requirement_lines(requirement: Mapping[str, Any], installation: Mapping[str,
 
 def _judged(requirement: Mapping[str, Any], installation: Mapping[str, Any]) -> Iterator[tuple[str, bool]]:
     """Each limit for each camera."""
+    verdict = (installation.get("verdict") or {}).get("outcome", "not assessed")
     for matrix in installation.get("cameras") or (installation,):
-        outcome = (installation.get("verdict") or {}).get("outcome", "not assessed")
         of_camera = f" of camera {matrix['name']}" if "name" in matrix else ""
-        yield from _judged_matrix(requirement, matrix, outcome, of_camera)
-
-
-def _judged_matrix(
-    requirement: Mapping[str, Any], matrix: Mapping[str, Any], verdict: str, of_camera: str
-) -> Iterator[tuple[str, bool]]:
-    sigma_rad = np.sqrt(np.diag(np.array(matrix["covariance_rad2"])))
-    per_rad: Sequence[float | None] = matrix["ground_m_per_rad"]
-    on_ground = sigma_rad * np.array([np.nan if value is None else value for value in per_rad])
-    cases = (("arcsec", "arcsec about each axis", sigma_rad / ARCSEC), ("m", "m on the ground", on_ground))
-    for key, words, sigma in cases:
-        if requirement.get(key) is None:
-            continue
-        limit = float(requirement[key])
-        missed = [f"{axis} {value:.4g}" for axis, value in zip("XYZ", sigma) if not value <= limit]
-        outcome = f"not met about {', '.join(missed)}" if missed else "met"
-        if verdict not in (Outcome.CONSISTENT.value, Outcome.FINDINGS.value):
-            outcome = f"cannot be judged, the verdict is {verdict}"
-        if np.isnan(sigma).any():
-            outcome = "not known, no strip sees the ground"
-        yield f"{'required 1 sigma':26s}{limit:g} {words}{of_camera}: {outcome}", outcome == "met"
+        sigma_rad = np.sqrt(np.diag(np.array(matrix["covariance_rad2"])))
+        per_rad: Sequence[float | None] = matrix["ground_m_per_rad"]
+        on_ground = sigma_rad * np.array([np.nan if value is None else value for value in per_rad])
+        in_arcsec = "arcsec", "arcsec about each axis", sigma_rad / ARCSEC
+        for key, words, sigma in (in_arcsec, ("m", "m on the ground", on_ground)):
+            if requirement.get(key) is None:
+                continue
+            limit = float(requirement[key])
+            missed = [f"{axis} {value:.4g}" for axis, value in zip("XYZ", sigma) if not value <= limit]
+            outcome = f"not met about {', '.join(missed)}" if missed else "met"
+            if verdict not in (Outcome.CONSISTENT.value, Outcome.FINDINGS.value):
+                outcome = f"cannot be judged, the verdict is {verdict}"
+            if np.isnan(sigma).any():
+                outcome = "not known, no strip sees the ground"
+            yield f"{'required 1 sigma':26s}{limit:g} {words}{of_camera}: {outcome}", outcome == "met"

@@ -50,10 +50,10 @@ class RunStatus:
 
     folder: str = scalar("folder of the run")
     begun: bool = scalar("whether the folder of the run is there")
-    finished: bool = scalar("whether installation.json is there")
-    outcome: str = scalar("outcome of the verdict; empty where there is none")
-    stages: tuple[StageStatus, ...] = scalar("in the order of the calculation")
-    omissions: tuple[dict[str, Any], ...] = scalar("what is not used so far, rows of the ledger")
+    finished: bool = scalar("whether installation.json is there", default=False)
+    outcome: str = scalar("outcome of the verdict; empty where there is none", default="")
+    stages: tuple[StageStatus, ...] = scalar("in the order of the calculation", default=())
+    omissions: tuple[dict[str, Any], ...] = scalar("what is not used so far, rows of the ledger", default=())
     findings: tuple[dict[str, Any], ...] = scalar("what the report asks to look at", default=())
     unknown: str = scalar("why it is not known what is missing; empty where it is known", default="")
     dumps: tuple[RunStatus, ...] = scalar("of a joint result: the runs of its dumps", default=())
@@ -63,7 +63,9 @@ def run_status(result: Path) -> RunStatus:
     """The state of the run in a folder; `RawDataError` for a folder that is not one of a run."""
     if names := dumps_in(result):
         folders = [result / name for name in names]
-        dumps = tuple(run_status(one) if one.is_dir() else _none(one) for one in folders)
+        dumps = tuple(
+            run_status(one) if one.is_dir() else RunStatus(folder=str(one), begun=False) for one in folders
+        )
         return _status(result, (), saved_omissions(result), dumps=dumps)
     work = result / "work"
     if not work.is_dir() and not (result / "installation.json").is_file():
@@ -114,10 +116,6 @@ def kept_units(result: Path) -> str:
     counts = [(path.name, len(list(path.glob("*.parquet")))) for path in folders if path.is_dir()]
     done = ", ".join(f"{n} of {stage_words(name)}" for name, n in counts if n)
     return f"finished units are kept in {result}: {done}" if done else f"no unit is finished yet in {result}"
-
-
-def _none(folder: Path) -> RunStatus:
-    return RunStatus(folder=str(folder), begun=False, finished=False, outcome="", stages=(), omissions=())
 
 
 def _status(

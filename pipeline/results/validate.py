@@ -11,14 +11,12 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, local_axes_e, unit_vectors
 from boresight.geometry.installation import theta_between
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump
-from boresight.pipeline.files.strip_table import Strip
 from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.files.text_files import read_table, read_toml
 from boresight.pipeline.results.check_point_test import DIRECTIONS, RmsTest, rms_test
@@ -31,7 +29,7 @@ from boresight.pipeline.results.strip_model import (
     run_settings_of,
     terrain_sigma_m,
 )
-from boresight.records.record import Floats, Ints, Texts, array, record, scalar
+from boresight.records.record import Floats, Texts, array, record, scalar
 
 __all__ = ["CheckPoints", "TruthErrors", "true_installation", "validation_of"]
 
@@ -97,8 +95,8 @@ def validation_of(result: SavedResult, dump: Dump) -> TruthErrors:
     R_true = true_installation(dump)
     points = read_table(truth / "check_points.csv", CheckPointRow, "truth/check_points.csv")
     error = theta_between(result.R_cs, R_true)
-    after, without, strips = _check(points, result, dump, result.R_cs)
-    before, _, _ = _check(points, result, dump, dump.R_cs0)
+    after, strips = _check(points, result, dump, result.R_cs)
+    before, _ = _check(points, result, dump, dump.R_cs0)
     return TruthErrors(
         error_rad=error,
         sigma_rad=np.sqrt(np.diag(result.cov_theta)),
@@ -107,7 +105,7 @@ def validation_of(result: SavedResult, dump: Dump) -> TruthErrors:
         after=after,
         before=before,
         predicted=_against_prediction(after, strips, result, dump),
-        without=without,
+        without=len(points) - len(after.along_m),
     )
 
 
@@ -119,42 +117,38 @@ def true_installation(dump: Dump) -> Rotation:
 
 def _check(
     points: list[CheckPointRow], result: SavedResult, dump: Dump, R_cs: Rotation
-) -> tuple[CheckPoints, int, list[PlaceErrors]]:
-    """Errors of the check points, how many have none, and what moves those that have one, strip by strip."""
+) -> tuple[CheckPoints, list[PlaceErrors]]:
+    """Errors of the check points that have one, and what moves these, strip by strip."""
     strips = {strip.strip_id: strip for strip in dump.strips}
     for point in points:
         if not 0 <= point.ccd < dump.line_camera.n_ccds:
             raise RawDataError("truth/check_points.csv", "ccd", str(point.ccd), "a CCD of the camera")
     found: list[CheckPointRow] = []
-    errors, without, moving = [], 0, []
-    for strip_id in sorted({point.strip for point in points}):
-        here = [point for point in points if point.strip == strip_id]
-        near = _exposures(strips[strip_id], result, dump) if strip_id in strips else np.zeros(0, np.int64)
+    errors, moving = [], []
+    for strip_id in sorted({point.strip for point in points} & strips.keys()):
+        here, strip = [point for point in points if point.strip == strip_id], strips[strip_id]
+        margin_s = run_settings_of(result, "installation.json").exposure_margin_s
+        near = exposures_around(result, dump, strip, margin_s)
         if len(near) < 2:
-            without += len(here)
             continue
         track = attitude_track(result, dump, near)
-        model = pushbroom_with(track, strips[strip_id], dump, R_cs)
-        seen = _with_attitude(here, model, track)
-        without += len(here) - len(seen)
+        model = pushbroom_with(track, strip, dump, R_cs)
+        ccd, line = np.array([point.ccd for point in here]), np.array([point.line for point in here])
+        instants, (first, last) = model.instants_of_lines(ccd, line).tolist(), track.span_s
+        seen = [point for point, t in zip(here, instants) if first <= t <= last]
         if not seen:
             continue
         t_s, places_e = [], []
-        for ccd in sorted({point.ccd for point in seen}):
-            those = [point for point in seen if point.ccd == ccd]
-            error, computed_e = _error(those, ccd, model, dump)
+        for k in sorted({point.ccd for point in seen}):
+            those = [point for point in seen if point.ccd == k]
+            error, computed_e = _error(those, k, model, dump)
             good = np.asarray(np.isfinite(error).all(axis=1))
-            without += int((~good).sum())
             errors.append(error[good])
             found += [point for point, known in zip(those, good.tolist()) if known]
-            t_s.append(model.instants_of_lines(ccd, np.array([point.line for point in those])[good]))
+            t_s.append(model.instants_of_lines(k, np.array([point.line for point in those])[good]))
             places_e.append(computed_e[good])
-        t_found = np.concatenate(t_s)
-        moving.append(
-            PassErrors.of(result, dump, strips[strip_id], track, terrain_sigma_m(dump)).at(
-                t_found, np.concatenate(places_e)
-            )
-        )
+        of_pass = PassErrors.of(result, dump, strip, track, terrain_sigma_m(dump))
+        moving.append(of_pass.at(np.concatenate(t_s), np.concatenate(places_e)))
     along, across, up, east, north = np.vstack([np.zeros((0, 5)), *errors]).T
     checked = CheckPoints(
         strip_id=np.array([point.strip for point in found], dtype=str),
@@ -167,16 +161,7 @@ def _check(
         east_m=east,
         north_m=north,
     )
-    return checked, without, moving
-
-
-def _with_attitude(
-    points: list[CheckPointRow], model: Pushbroom, track: AttitudeTrack
-) -> list[CheckPointRow]:
-    """The check points of a strip whose lines were read out while star exposures give the attitude."""
-    ccd, line = np.array([point.ccd for point in points]), np.array([point.line for point in points])
-    t_s, (first, last) = model.instants_of_lines(ccd, line), track.span_s
-    return [point for point, t in zip(points, t_s.tolist()) if first <= t <= last]
+    return checked, moving
 
 
 def _against_prediction(
@@ -190,19 +175,12 @@ def _against_prediction(
     return tuple(map(rms_test, DIRECTIONS, errors, covariance))
 
 
-def _exposures(strip: Strip, result: SavedResult, dump: Dump) -> Ints:
-    """Rows of the result's exposures around a strip, by the margin of its settings."""
-    margin_s = run_settings_of(result, "installation.json").exposure_margin_s
-    return exposures_around(result, dump, strip, margin_s)
-
-
 def _error(points: list[CheckPointRow], ccd: int, model: Pushbroom, dump: Dump) -> tuple[Floats, Floats]:
     """Computed minus true (N, 5): along track, across track, up, east, north, m; computed places (N, 3)."""
-    sample = np.array([point.sample for point in points])
-    line = np.array([point.line for point in points])
-    lat = np.radians([point.lat_deg for point in points])
-    lon = np.radians([point.lon_deg for point in points])
-    true_e = ecef_from_geodetic(lat, lon, np.array([point.height_m for point in points]), WGS84)
+    rows = [(one.sample, one.line, one.lat_deg, one.lon_deg, one.height_m) for one in points]
+    sample, line, lat_deg, lon_deg, height_m = np.array(rows).T.copy()
+    lat, lon = np.radians(lat_deg), np.radians(lon_deg)
+    true_e = ecef_from_geodetic(lat, lon, height_m, WGS84)
     computed_e = model.ground_points(ccd, sample, line, surface_of(dump.terrain))
     up = unit_vectors(lon, lat)
     motion = dump.orbit.velocities_e(model.instants_of_lines(ccd, line))

@@ -12,7 +12,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from functools import lru_cache, partial
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -71,12 +71,7 @@ def fingerprint(probes: Sequence[str]) -> Fingerprint:
             files[path] = content_digest(dump_folder(path))
         except OSError as error:
             files[path] = f"{error.strerror or error}"
-    return Fingerprint(library_versions(), _code(), files)
-
-
-@lru_cache(maxsize=1)
-def _code() -> str:
-    return program_digest("boresight.pipeline")
+    return Fingerprint(library_versions(), program_digest("boresight.pipeline"), files)
 
 
 def guarded(expected: Fingerprint, function: Callable[[Item], Outcome], item: Item) -> Outcome:

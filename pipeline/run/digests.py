@@ -72,7 +72,10 @@ def _feed(state: Any, value: Any) -> None:
     elif isinstance(value, Rotation):
         _feed(state, value.as_quat())
     elif isinstance(value, Path):
-        _feed_file(state, value)
+        try:
+            state.update(f"file:{content_digest(value)};".encode())
+        except OSError as error:
+            state.update(f"no file:{error.errno};".encode())
     elif isinstance(value, Enum):
         _feed(state, value.name)
     elif dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -93,13 +96,6 @@ def _feed(state: Any, value: Any) -> None:
             _feed(state, item)
     else:
         raise TypeError(f"no digest for a {type(value).__name__}")
-
-
-def _feed_file(state: Any, path: Path) -> None:
-    try:
-        state.update(f"file:{content_digest(path)};".encode())
-    except OSError as error:
-        state.update(f"no file:{error.errno};".encode())
 
 
 @cache

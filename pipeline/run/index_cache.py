@@ -86,19 +86,15 @@ def cached_index(stars: StarPlaces, epoch_jyear: float, fov_rad: float | tuple[f
     except ValueError as error:
         warnings.warn(f"{path}: damaged ({error}); the index is built again", stacklevel=2)
     index = build_index(stars, epoch_jyear, fov_rad)
-    _keep(path, index)
-    return index
-
-
-def cache_folder() -> Path:
-    """The folder in which this platform keeps a user's cached files of `boresight` (it need not exist)."""
-    return platformdirs.user_cache_path("boresight", appauthor=False)
-
-
-def _keep(path: Path, index: StarIndex) -> None:
     with suppress(OSError):  # read-only or full: the next run builds the index again
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, lambda target: write_arrays(target, index.arrays))
         files = sorted(path.parent.glob("triangles-*"), key=lambda file: file.stat().st_mtime_ns)
         for old in files[:-_KEPT]:
             old.unlink(missing_ok=True)
+    return index
+
+
+def cache_folder() -> Path:
+    """The folder in which this platform keeps a user's cached files of `boresight` (it need not exist)."""
+    return platformdirs.user_cache_path("boresight", appauthor=False)

@@ -73,18 +73,18 @@ def read_settings(path: Path | None) -> Settings:
 
 def settings_from_tables(tables: dict[str, Any], file: str) -> Settings:
     """Settings from parsed tables of `file`; `RawDataError` names an unknown section or key."""
-    expected = [f.name for f in dataclasses.fields(Settings)]
+    hints = get_type_hints(Settings)
     for section, content in tables.items():
-        if section not in expected:
-            raise RawDataError(file, section, "an unknown section", f"one of {', '.join(expected)}")
+        if section not in hints:
+            raise RawDataError(file, section, "an unknown section", f"one of {', '.join(hints)}")
         if not isinstance(content, dict):
             raise RawDataError(file, section, content, "a table")
     calibration = tables.get("calibration", {})
     settings_from_values(CalibrationSettings, calibration, file, "calibration")
-    kinds: dict[str, type] = {"stars": StarSettings, "match": MatchSettings, "run": RunSettings}
-    kinds |= {"verdict": VerdictSettings, "sky_strips": StripStarSettings}
     parts: dict[str, Any] = {
-        name: settings_from_values(kind, tables.get(name, {}), file, name) for name, kind in kinds.items()
+        name: settings_from_values(kind, tables.get(name, {}), file, name)
+        for name, kind in hints.items()
+        if name != "calibration"
     }
     return Settings(calibration=tuple(sorted(calibration.items())), **parts)
 

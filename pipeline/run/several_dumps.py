@@ -45,6 +45,8 @@ def open_dumps(
     and for one that is not of the cameras, pre-launch matrix and stated errors of the first.
     """
     roots = [folder.resolve() for folder in folders]
+    if len(roots) == 1:
+        return tuple(named_cameras(open_cameras(roots[0], allow_stale_eop=allow_stale_eop)))
     if twice := [root for root, n in Counter(roots).items() if n > 1]:
         raise RawDataError(str(twice[0]), "DUMP", "named twice", "each dump once")
     names = dump_names(roots)

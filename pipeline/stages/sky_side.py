@@ -34,10 +34,9 @@ class SkySide:
     found: tuple[StripStars, ...] = array("S", "detections in the same strips")
     omissions: tuple[Entry, ...] = scalar("strips that cannot be used, with the reasons")
 
-    def only(self, rows: Sequence[int]) -> SkySide:
-        """Some of the strips, without what was left out of them."""
-        tasks, found = [self.tasks[n] for n in rows], [self.found[n] for n in rows]
-        return replace(self, tasks=tuple(tasks), found=tuple(found), omissions=())
+    def only(self, n: int) -> SkySide:
+        """One of the strips, without what was left out of them."""
+        return replace(self, tasks=(self.tasks[n],), found=(self.found[n],), omissions=())
 
     def aligned(self, heads: Sequence[HeadSightings], mountings: Mapping[str, Rotation]) -> SkySide:
         """Strips of the sky with attitudes turned to frame s by the matrices `mountings`, where another head

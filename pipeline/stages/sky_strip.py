@@ -122,7 +122,7 @@ class NamedStars:
 
 def find_sky_stars(task: SkyTask) -> StripStars | Entry:
     """Detections in a strip of the sky, or why it cannot be one that is evaluated."""
-    motion = strip_motion(task, task.R_cs0)
+    motion = strip_motion(task)
     if (refused := _refused(task, motion)) is not None:
         return refused
     saturation = task.settings.saturation_dn or 2.0**task.bit_depth - 1.0
@@ -249,13 +249,12 @@ def as_matched(named: NamedStars) -> MatchedTargets:
     return measured_points(named.strip_id, named.names, *places, named.probability_wrong)
 
 
-def strip_motion(task: SkyTask, R_cs: Rotation) -> StripMotion:
-    """Motion of image points in the middle of each CCD, from the attitudes."""
+def strip_motion(task: SkyTask) -> StripMotion:
+    """Motion of image points in the middle of each CCD, from the attitudes and the pre-launch matrix."""
     lines: Floats = np.linspace(0.0, max(task.strip.lines - 1.0, 1.0), _NODES, dtype=np.float64)
     track, count = task.track, task.camera.n_ccds
     rate, drift = np.zeros((count, _NODES)), np.zeros((count, _NODES))
-    step = 0.5
-    before, after = (R_cs * track.R_si(task.instants(lines + side)) for side in (-step, step))
+    before, after = (task.R_cs0 * track.R_si(task.instants(lines + side)) for side in (-0.5, 0.5))
     turn = (after * before.inv()).as_matrix()
     for ccd in range(count):
         middle = 0.5 * (task.camera.n_px(ccd) - 1.0)

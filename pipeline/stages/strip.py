@@ -56,7 +56,6 @@ __all__ = [
     "match_strip_targets",
     "measured_points",
     "misses",
-    "no_matches",
     "pictures_of_match",
     "predicted_again",
     "pushbroom_of",
@@ -215,16 +214,13 @@ def contradicting_targets(matched: MatchedTargets) -> MatchedTargets:
     )
 
 
-def no_matches(strip: Entry) -> MatchedTargets:
-    """The outcome for a strip that cannot be used."""
-    return _matched(strip.subject.strip, (), [strip], {})
-
-
-def with_points(matched: MatchedTargets, points: StripPoints) -> MatchedTargets:
-    """The matched targets of a strip, and the points measured in it by others."""
+def with_points(outcome: MatchedTargets | Entry, points: StripPoints) -> MatchedTargets:
+    """The matched targets of a strip, none where it cannot be used, and points that others measured in it."""
+    if isinstance(outcome, Entry):
+        outcome = _matched(outcome.subject.strip, (), [outcome], {})
     names = np.array([target.target_id for target in points.targets], dtype=str)
-    measured = measured_points(matched.strip_id, names, points.ccd, points.xy_px, points.cov_px)
-    return MatchedTargets.together([matched, measured])
+    measured = measured_points(outcome.strip_id, names, points.ccd, points.xy_px, points.cov_px)
+    return MatchedTargets.together([outcome, measured])
 
 
 def _matched(

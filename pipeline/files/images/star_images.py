@@ -234,21 +234,15 @@ def _read_netpbm(image: ImageFile) -> NDArray[Any]:
     if kind in (2, 3):
         values = _netpbm_text(image.whole(6 * math.prod(shape)), match.end(), shape, file)
     else:
-        content = image.whole(dtype.itemsize * math.prod(shape))
-        values = _netpbm_bytes(content, match.end(), shape, dtype.newbyteorder(">"), file)
+        need = dtype.itemsize * math.prod(shape)
+        content = image.whole(need)
+        if (have := len(content) - match.end()) < need:
+            raise RawDataError(file, "pixels", f"{have} bytes", f"{need} bytes")
+        values = np.frombuffer(content, dtype.newbyteorder(">"), math.prod(shape), match.end()).reshape(shape)
     values = values if len(shape) == 2 else np.moveaxis(values, 2, 0)
     if (most := int(values.max())) > largest:
         raise RawDataError(file, "pixels", f"a value of {most}", f"at most {largest}, as the header states")
     return values.astype(dtype)
-
-
-def _netpbm_bytes(
-    content: bytes, start: int, shape: tuple[int, ...], dtype: np.dtype[Any], file: str
-) -> NDArray[Any]:
-    need = math.prod(shape)
-    if (have := len(content) - start) < need * dtype.itemsize:
-        raise RawDataError(file, "pixels", f"{have} bytes", f"{need * dtype.itemsize} bytes")
-    return np.frombuffer(content, dtype, need, start).reshape(shape)
 
 
 def _netpbm_text(content: bytes, start: int, shape: tuple[int, ...], file: str) -> NDArray[Any]:

@@ -235,11 +235,8 @@ class StripFiles:
     def of(self, ccds: Iterable[int]) -> StripFiles:
         """The images of some of the CCDs."""
         chosen = [ccd for ccd in ccds if ccd in self.paths]
-        return StripFiles(
-            {ccd: self.paths[ccd] for ccd in chosen},
-            {ccd: self.names[ccd] for ccd in chosen},
-            {ccd: self.shapes[ccd] for ccd in chosen},
-        )
+        every: Any = self.paths, self.names, self.shapes
+        return StripFiles(*({ccd: one[ccd] for ccd in chosen} for one in every))
 
     def shape(self, ccd: int) -> tuple[int, int]:
         """(lines, samples) of a CCD's image."""

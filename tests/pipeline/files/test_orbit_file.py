@@ -17,8 +17,9 @@ from oem import OrbitEphemerisMessage
 
 from boresight.geometry.orbit import OrbitGapError
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.dates import n_covered
 from boresight.pipeline.files.orbit_and_earth import bundled_table, orbit_of
-from boresight.pipeline.files.orbit_file import covered_by, joined_segments, read_oem, read_segments
+from boresight.pipeline.files.orbit_file import joined_segments, read_oem, read_segments
 
 FIXTURE = Path(__file__).parents[3] / "fixtures" / "mini" / "orbit.oem"
 RADIUS_KM, RATE = 6908.0, 7.5963 / 6908.0
@@ -224,10 +225,10 @@ def test_spans_are_counted_in_the_segment_that_covers_them(tmp_path: Path) -> No
     segments = read_segments(written(tmp_path, two_segments(text_of(120))), "orbit.oem")
     at = [float(one.t_s[0]) for one in segments]
     of_second = [(at[1] + 1.0, at[1] + 2.0), (at[1] + 3.0, at[1] + 4.0)]
-    assert covered_by(segments, []) == [0, 0]
-    assert covered_by(segments, [(at[0] + 1.0, at[0] + 2.0)]) == [1, 0]
-    assert covered_by(segments, [(at[0], at[0] + 1.0), *of_second]) == [1, len(of_second)]
-    assert covered_by(segments, [(at[1] - 0.5, at[1] + 0.5)]) == [0, 0]  # in neither
+    assert [n_covered(one.t_s, []) for one in segments] == [0, 0]
+    assert [n_covered(one.t_s, [(at[0] + 1.0, at[0] + 2.0)]) for one in segments] == [1, 0]
+    assert [n_covered(one.t_s, [(at[0], at[0] + 1.0), *of_second]) for one in segments] == [1, len(of_second)]
+    assert [n_covered(one.t_s, [(at[1] - 0.5, at[1] + 0.5)]) for one in segments] == [0, 0]  # in neither
 
 
 def test_what_is_wrong_in_a_segment_is_named_by_its_number(tmp_path: Path) -> None:

@@ -15,11 +15,11 @@ import pytest
 from command_line import ran
 from matplotlib.path import Path as MplPath
 from pytest import approx
+from report_page import report_html
 
 from boresight.pipeline.console import report_command
 from boresight.pipeline.console.program import errors_reported
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.report.page import report_html
 from boresight.pipeline.report.saved import EVIDENCE, Saved, read_saved
 from boresight.pipeline.results.sightings_tables import COLUMNS
 

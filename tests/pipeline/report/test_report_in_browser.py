@@ -25,9 +25,9 @@ from command_line import ran
 from edits import repaint, rows_of
 from fixture_strips import stopped_run, strip_of_fixture
 from PIL import Image
+from report_page import report_html
 from tornado.websocket import websocket_connect
 
-from boresight.pipeline.report.page import report_html
 from boresight.pipeline.report.saved import read_saved
 
 CHROMIUM = next(

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from report_page import report_html
 
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.report import figures
 from boresight.pipeline.report.drawing import Drawing
-from boresight.pipeline.report.page import report_html
 from boresight.pipeline.report.saved import read_saved
 from boresight.pipeline.report.verdict_section import verdict_view
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 from command_line import ran
+from report_page import report_html
 
 from boresight.pipeline.errors import RawDataError
-from boresight.pipeline.report.page import report_html
 from boresight.pipeline.report.saved import read_saved
 from boresight.pipeline.results.identity import identity_of_result, saved_about, write_about
 

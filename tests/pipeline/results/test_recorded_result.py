@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 from recorded_numbers import assert_recorded, numbers_in
+from report_page import report_html
 
-from boresight.pipeline.report.page import report_html
 from boresight.pipeline.report.saved import read_saved
 
 CHANGING = ("cpu_ms", "seconds", "made", "version", "commit", "times")

@@ -204,8 +204,8 @@ def test_a_run_reads_each_exposure_once(one_strip, tmp_path, monkeypatch, execut
         return own(path, buffering)
 
     monkeypatch.setattr(content, "open_regular", noted)
-    request = RunRequest(settings=Settings(), begun_s=0.0, facts={}, report=False)
-    run_dump(tmp_path / "result", dump, "one", request, executor, lambda stage, done, total: None)
+    request = RunRequest(settings=Settings(), begun_s=0.0, facts={}, report=False, executor=executor)
+    run_dump(tmp_path / "result", dump, "one", request)
     exposures = [exposure.path for exposure in dump.exposures]
     assert [read.count(path) for path in exposures] == [by_this_process] * len(exposures)
     assert json.loads((tmp_path / "result" / "run.json").read_text())["inputs"] == digest_of(dump)

@@ -182,7 +182,7 @@ def test_errors_of_the_catalogue_are_those_of_the_strip_s_date(task: SkyTask, na
 
 def test_the_motion_of_a_trace_is_that_of_a_star_that_stands_still_in_the_sky(task: SkyTask) -> None:
     """Along the stages a star moves as the ground does, towards -x of frame c."""
-    motion = strip_motion(task, MOUNTING)
+    motion = strip_motion(task)
     assert motion.stages == STAGES
     for ccd in (0, 1):
         for k in (0, 16, 32):
