@@ -16,6 +16,7 @@ calibration on trial. A dump is made once in a working folder.
 import os
 import shutil
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,7 @@ from boresight.simulator.head_attitudes import correlated_noise
 from boresight.simulator.mission_records import Mission, TruePoint
 from boresight.simulator.scenario import Scenario, SkyScan, builtin_scenario
 
-__all__ = ["DUMPS", "TRACKER", "TrialHead", "linked", "sound_dump", "without_images", "write_heads"]
+__all__ = ["DUMPS", "TRACKER", "TrialHead", "added", "linked", "sound_dump", "without_images", "write_heads"]
 
 FIXTURES = Path(__file__).parents[3] / "fixtures"
 DUMPS = ("ground", "sky", "scans", "mixed", "points", "twelve", "coloured", "trackers")
@@ -116,6 +117,15 @@ def linked(source: Path, target: Path) -> None:
     """A copy of hard links, without `truth/`: a file must be unlinked before it is written."""
     shutil.rmtree(target, ignore_errors=True)
     shutil.copytree(source, target, copy_function=os.link, ignore=shutil.ignore_patterns("truth"))
+
+
+def added(source: Path, target: Path) -> None:
+    """Finished units of a store added to another by hard links; a process beside may add the same."""
+    for path in source.rglob("*.parquet"):
+        other = target / path.relative_to(source)
+        other.parent.mkdir(exist_ok=True)
+        with suppress(FileExistsError):
+            other.hardlink_to(path)
 
 
 def _points(root: Path, seed: int, name: str, noise: _Noise) -> None:
