@@ -97,7 +97,9 @@ def scenario_of(name: str) -> Scenario:
                 mini.line_camera, ccds=12, samples=192, principal_sample=95.0, rotation_urad=urad
             ),
             strips=replace(mini.strips, count=12, lines=800),
-            targets=replace(mini.targets, per_strip=14, check_points_per_strip=2),
+            # points without the chip that a target has; no relief is matched
+            targets=replace(mini.targets, per_strip=0, check_points_per_strip=16),
+            terrain=replace(mini.terrain, spacing_arcsec=15.0),
         )
     sky = builtin_scenario("sky")
     if name == "sky":
