@@ -64,11 +64,6 @@ def test_false_detections_bend_neither_lens_nor_its_stated_error(index):
     assert mean[2] < 2.7 and mean[3] < 2.7  # of 12: 2.7 is exceeded once in 1000
 
 
-@pytest.fixture(scope="module")
-def wide_index():
-    return build_index(PLACES, PLACES.epoch_jyear, (np.radians(5.0), np.radians(60.0)))
-
-
 @pytest.mark.parametrize("seed", [28, 49])
 def test_of_two_nominal_fields_of_view_that_name_stars_the_likelier_is_taken(seed, wide_index):
     # at the edge of the larger one a third of the stars were named, some wrongly, and another lens was fitted
