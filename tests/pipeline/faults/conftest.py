@@ -41,10 +41,9 @@ def sound(made_once) -> Path:
 @pytest.fixture
 def with_fault(made_once, request, tmp_path: Path) -> Callable[..., DumpCalibration]:
     """What a calibration of a dump of images gives, of a kind of `fault_dumps` and a seed, with a fault: what
-    some fault leaves as another has it is computed once (a store alone keeps the last of each exposure and
-    strip); of fixtures it is there already.
+    the fault leaves unchanged is computed once; of fixtures it is there already.
     """
-    from fault_dumps import added, linked, sound_dump
+    from fault_dumps import linked, sound_dump
 
     def fill(name: str, seed: int, folder: Path) -> None:
         if (name, seed) == ("ground", 1):
@@ -68,10 +67,6 @@ def with_fault(made_once, request, tmp_path: Path) -> Callable[..., DumpCalibrat
         folder = made(name, seed)
         linked(folder / f"{name}-{seed}", tmp_path / "dump")
         make(tmp_path / "dump")
-        linked(folder / "work", tmp_path / "work")
-        try:
-            return calibrate_dump(open_dump(tmp_path / "dump"), store=store_of(tmp_path))
-        finally:
-            added(tmp_path / "work", folder / "work")
+        return calibrate_dump(open_dump(tmp_path / "dump"), store=store_of(folder))
 
     return calibrated

@@ -16,7 +16,6 @@ calibration on trial. A dump is made once in a working folder.
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -33,17 +32,7 @@ from boresight.simulator.head_attitudes import correlated_noise
 from boresight.simulator.mission_records import Mission, TruePoint
 from boresight.simulator.scenario import Scenario, SkyScan, builtin_scenario
 
-__all__ = [
-    "DUMPS",
-    "TRACKER",
-    "TrialHead",
-    "added",
-    "flown",
-    "linked",
-    "sound_dump",
-    "without_images",
-    "write_heads",
-]
+__all__ = ["DUMPS", "TRACKER", "TrialHead", "flown", "linked", "sound_dump", "without_images", "write_heads"]
 
 FIXTURES = Path(__file__).parents[3] / "fixtures"
 DUMPS = ("ground", "sky", "scans", "mixed", "points", "twelve", "coloured", "trackers")
@@ -136,15 +125,6 @@ def linked(source: Path, target: Path) -> None:
     """A copy of hard links, without `truth/`: a file must be unlinked before it is written."""
     shutil.rmtree(target, ignore_errors=True)
     shutil.copytree(source, target, copy_function=os.link, ignore=shutil.ignore_patterns("truth"))
-
-
-def added(source: Path, target: Path) -> None:
-    """Finished units of a store added to another by hard links; a process beside may add the same."""
-    for path in source.rglob("*.parquet"):
-        other = target / path.relative_to(source)
-        other.parent.mkdir(exist_ok=True)
-        with suppress(FileExistsError):
-            other.hardlink_to(path)
 
 
 def _points(root: Path, seed: int, name: str, noise: _Noise) -> None:
