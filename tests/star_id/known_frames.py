@@ -135,15 +135,6 @@ def rows_asked():
     return real_rows()[:: 1 if "EVERY_FRAME" in os.environ else 3]
 
 
-def skies_asked(condition):
-    """The skies of a condition in a run of all tests, two of the four in turn; with EVERY_FRAME all."""
-    return (
-        range(len(FIELDS_DEG))
-        if "EVERY_FRAME" in os.environ
-        else range(list(CONDITIONS).index(condition) % 2, 4, 2)
-    )
-
-
 def answer(name, found, index):
     """What a record holds of an image and its solution, if it has one."""
     if not isinstance(found, FieldSolution):
