@@ -3,6 +3,7 @@ residual; traces of other rates and drifts."""
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -12,7 +13,8 @@ from matplotlib.figure import Figure
 from style import Ink, draw
 
 from boresight.pipeline.files.dump import open_dump
-from boresight.star_id.strip_stars.find import StripMotion, find_strip_stars
+from boresight.pipeline.files.images.tiff import StripFiles
+from boresight.star_id.strip_stars.find import StripMotion, StripStars, find_strip_stars
 from boresight.star_id.strip_stars.settings import StripStarSettings
 from boresight.star_id.strip_stars.trace import Motion, trace_images
 
@@ -20,16 +22,22 @@ FIXTURE = Path(__file__).parents[2] / "fixtures" / "sky"
 HALF = 7
 
 
+@cache  # for both versions
+def stars() -> tuple[StripFiles, StripStars]:
+    """Images of the strip, and their stars."""
+    dump = open_dump(FIXTURE)
+    images, count = dump.sky_strips[0].images, dump.line_camera.n_ccds
+    motion = StripMotion(np.array([0.0, 2e3]), np.ones((count, 2)), np.zeros((count, 2)), 1)
+    return images, find_strip_stars(images, motion, StripStarSettings(), 255.0)
+
+
 def paint(ink: Ink) -> Figure:
     """Five panels: strip, fit, residual; a mismatched rate, a drift."""
-    dump = open_dump(FIXTURE)
-    strip, count = dump.sky_strips[0], dump.line_camera.n_ccds
-    motion = StripMotion(np.array([0.0, 2e3]), np.ones((count, 2)), np.zeros((count, 2)), 1)
-    found = find_strip_stars(strip.images, motion, StripStarSettings(), 255.0)
+    images, found = stars()
     k = int(np.flatnonzero(~found.saturated & ~found.blended)[1])
     ccd, (x, y) = int(found.ccd[k]), found.xy_px[k]
     column, row = round(float(x)), round(float(y))
-    with rasterio.open(strip.images.paths[ccd]) as image:
+    with rasterio.open(images.paths[ccd]) as image:
         window = rasterio.windows.Window(column - HALF, row - HALF, 2 * HALF + 1, 2 * HALF + 1)
         seen = image.read(1, window=window).astype(float)
     level = float(np.median(seen))

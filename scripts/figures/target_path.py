@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -20,6 +21,7 @@ FIXTURE = Path(__file__).parents[2] / "fixtures" / "mini"
 ERROR_SCALE = 1000.0
 
 
+@cache  # for both versions
 def best_match() -> tuple[StripTask, TargetMatch, np.ndarray]:
     """A strip's most precise target, starting from the pre-launch matrix, and its chip."""
     tasks, _ = strips_to_match(open_dump(FIXTURE), Settings())

@@ -3,6 +3,7 @@ as large.
 """
 
 from dataclasses import replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -49,16 +50,13 @@ def injected(strips, h, size):
     return out
 
 
-CLEAN = {}
-
-
+@cache
 def clean(seed):
-    if seed not in CLEAN:
-        strips = drawn(seed)
-        CLEAN[seed] = (strips, *examined(strips))
-    return CLEAN[seed]
+    strips = drawn(seed)
+    return strips, *examined(strips)
 
 
+@cache
 def table_of(seed):
     strips, estimate, _ = clean(seed)
     prepared = [prepare_strip(strip, SETTINGS) for strip in strips]

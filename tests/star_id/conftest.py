@@ -3,17 +3,34 @@
 import pickle
 
 import pytest
-from known_frames import real, wide_index
+from frames import PLACES
+from known_frames import index_of_all_fields, real
 
 from boresight.star_id.field import solve_field
 from boresight.star_id.settings import StarSettings
 
 
 @pytest.fixture(scope="session")  # processes come back to these modules after others
-def wide(made_once):
-    """Index of the shipped catalogue for every field of view."""
-    folder = made_once("wide-index", lambda at: (at / "index").write_bytes(pickle.dumps(wide_index())))
-    return pickle.loads((folder / "index").read_bytes())
+def index_of(made_once):
+    """Index of the shipped catalogue for every field of view, at an epoch."""
+
+    def of(year):
+        fill = lambda at: (at / "index").write_bytes(pickle.dumps(index_of_all_fields(year)))  # noqa: E731
+        return pickle.loads((made_once(f"wide-index-{year}", fill) / "index").read_bytes())
+
+    return of
+
+
+@pytest.fixture(scope="session")
+def wide(index_of):
+    """At the epoch of real frames."""
+    return index_of(2019.0)
+
+
+@pytest.fixture(scope="session")
+def wide_index(index_of):
+    """At the epoch of the places."""
+    return index_of(PLACES.epoch_jyear)
 
 
 @pytest.fixture(scope="session")

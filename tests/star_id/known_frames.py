@@ -150,13 +150,13 @@ def answer(name, found, index):
     }
 
 
-def wide_index():
+def index_of_all_fields(year):
     """Index of the shipped catalogue for every field of view."""
-    return build_index(hipparcos_stars(8.0).places, 2019.0, (float(SMALLEST_FOV_RAD), float(LARGEST_FOV_RAD)))
+    return build_index(hipparcos_stars(8.0).places, year, (float(SMALLEST_FOV_RAD), float(LARGEST_FOV_RAD)))
 
 
 def main():
-    index = wide_index()
+    index = index_of_all_fields(2019.0)
     every = [(condition, sky) for condition in CONDITIONS for sky in range(len(FIELDS_DEG))]
     frames = [(f"{condition} {sky}", rendered(condition, sky)[0]) for condition, sky in every]
     real_ones = real_rows()

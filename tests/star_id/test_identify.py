@@ -9,13 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.catalogue import hipparcos_stars
-from boresight.star_id.field import (
-    LARGEST_FOV_RAD,
-    SMALLEST_FOV_RAD,
-    FieldSolution,
-    nominal_camera,
-    solve_stars,
-)
+from boresight.star_id.field import FieldSolution, nominal_camera, solve_stars
 from boresight.star_id.identification import identify as identify_module
 from boresight.star_id.identification.hypothesis import (
     _distorted,
@@ -53,11 +47,6 @@ def places():
 def index(places):
     fov = equivalent_fov(*SIZE, PAPER_CAMERA.focal_m / PAPER_CAMERA.pixel_m)
     return build_index(places, places.epoch_jyear, fov)
-
-
-@pytest.fixture(scope="module")
-def wide_index(places):
-    return build_index(places, places.epoch_jyear, (float(SMALLEST_FOV_RAD), float(LARGEST_FOV_RAD)))
 
 
 def detections(camera, R_si, places, rng, *, stars=138, false=0, error_px=0.2):

@@ -17,6 +17,7 @@ import os
 import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +32,7 @@ from boresight.pipeline.files.text_tables import write_csv, write_toml
 from boresight.simulator.mission_records import Mission, TruePoint
 from boresight.simulator.scenario import Scenario, SkyScan, builtin_scenario
 
-__all__ = ["DUMPS", "TRACKER", "TrialHead", "linked", "sound_dump", "without_images", "write_heads"]
+__all__ = ["DUMPS", "TRACKER", "TrialHead", "flown", "linked", "sound_dump", "without_images", "write_heads"]
 
 FIXTURES = Path(__file__).parents[3] / "fixtures"
 DUMPS = ("ground", "sky", "scans", "mixed", "points", "twelve", "coloured", "trackers")
@@ -66,6 +67,12 @@ COLOURED = _Noise((0.8, 0.9, 6.5), (0.5, 0.5, 4.7), (0.3, 0.3, 2.3))  # the exam
 TRACKER = _Noise((1.0, 1.0, 8.0))
 
 
+@lru_cache(maxsize=3)
+def flown(scenario: Scenario, seed: int) -> Mission:
+    """The mission of a scenario: several dumps of a process are written from one."""
+    return fly(scenario, seed)
+
+
 def sound_dump(name: str, seed: int, work: Path) -> Path:
     """The folder of a dump without a fault; it is made where it is not there yet."""
     if fixture := OF_FIXTURE.get((name, seed)):
@@ -79,7 +86,7 @@ def sound_dump(name: str, seed: int, work: Path) -> Path:
     elif name == "trackers":
         _trackers(root, seed, sound_dump("scans", seed, work))
     else:
-        write_dump(fly(scenario_of(name), seed), root, created_by="fault_dumps.py")
+        write_dump(flown(scenario_of(name), seed), root, created_by="fault_dumps.py")
     return root
 
 
@@ -96,7 +103,9 @@ def scenario_of(name: str) -> Scenario:
                 mini.line_camera, ccds=12, samples=192, principal_sample=95.0, rotation_urad=urad
             ),
             strips=replace(mini.strips, count=12, lines=800),
-            targets=replace(mini.targets, per_strip=14, check_points_per_strip=2),
+            # points without the chip that a target has; no relief is matched
+            targets=replace(mini.targets, per_strip=0, check_points_per_strip=16),
+            terrain=replace(mini.terrain, spacing_arcsec=15.0),
         )
     sky = builtin_scenario("sky")
     if name == "sky":
@@ -120,7 +129,7 @@ def linked(source: Path, target: Path) -> None:
 
 def _points(root: Path, seed: int, name: str, noise: _Noise) -> None:
     """Two heads' attitudes and the image points of targets and check points."""
-    mission, rng = fly(scenario_of(name), seed), np.random.default_rng([seed, 1])
+    mission, rng = flown(scenario_of(name), seed), np.random.default_rng([seed, 1])
     if name == "twelve":
         mission = with_short_ids(mission)
     write_dump(without_images(mission), root, created_by="fault_dumps.py")
@@ -183,7 +192,7 @@ def _measured(points: list[TruePoint], mission: Mission, rng: np.random.Generato
 def _trackers(root: Path, seed: int, scans: Path) -> None:
     """The scans with the attitudes of one head instead of star images."""
     shutil.copytree(scans, root)
-    mission, rng = fly(scenario_of("scans"), seed), np.random.default_rng([seed, 2])
+    mission, rng = flown(scenario_of("scans"), seed), np.random.default_rng([seed, 2])
     files = {"remote_camera": "remote_camera.toml", "orbit": "orbit.oem", "strips": "strips.csv"}
     write_heads(root, mission, (TrialHead("STR1", Rotation.identity(), TRACKER),), rng, files)
     shutil.rmtree(root / "exposures")

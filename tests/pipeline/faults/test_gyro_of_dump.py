@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fault_dumps import FIXTURES, scenario_of
+from fault_dumps import FIXTURES, flown, scenario_of
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -15,11 +15,9 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
 from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.files.dump import Dump, open_dump
-from boresight.pipeline.files.scenario_file import fly
 from boresight.pipeline.files.text_tables import write_csv
 from boresight.pipeline.run.unit_store import UnitStore
 from boresight.simulator.mission_records import Mission
-from boresight.simulator.scenario import builtin_scenario
 
 R_GS = Rotation.from_euler("xyz", [20.0, 70.0, -50.0], degrees=True)
 WALK_ARCSEC = 0.05
@@ -51,7 +49,7 @@ class Flight:
 
 
 def test_two_star_exposures_a_strip_and_a_gyro_need_no_assumed_motion(demo: Path, tmp_path: Path) -> None:
-    mission, root = fly(builtin_scenario("mini"), 1), tmp_path / "mini"
+    mission, root = flown(scenario_of("ground"), 1), tmp_path / "mini"
     shutil.copytree(FIXTURES / "mini", root)
     write_gyro(root, mission)
     head, *rows = (root / "exposures.csv").read_text().splitlines()
@@ -68,17 +66,17 @@ def test_two_star_exposures_a_strip_and_a_gyro_need_no_assumed_motion(demo: Path
 
 
 @pytest.fixture(scope="module")
-def flown(sound: Path, tmp_path_factory: pytest.TempPathFactory) -> Flight:
+def of_points(sound: Path, tmp_path_factory: pytest.TempPathFactory) -> Flight:
     """Not to be changed."""
     root = Path(shutil.copytree(sound, tmp_path_factory.mktemp("flown") / "dump"))
-    mission = fly(scenario_of("points"), 1)
+    mission = flown(scenario_of("points"), 1)
     write_gyro(root, mission)
     return Flight(root, mission.truth.R_cs)
 
 
 @pytest.fixture
-def flight(flown: Flight, tmp_path: Path) -> Flight:
-    return Flight(shutil.copytree(flown.root, tmp_path / "dump"), flown.R_cs)
+def flight(of_points: Flight, tmp_path: Path) -> Flight:
+    return Flight(shutil.copytree(of_points.root, tmp_path / "dump"), of_points.R_cs)
 
 
 def write_gyro(root: Path, mission: Mission) -> None:
