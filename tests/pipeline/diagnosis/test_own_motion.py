@@ -75,7 +75,9 @@ def test_exposures_in_each_others_place_are_named(order, items):
     assert {(one.file, one.field) for one in told} == {("exposures.csv", "file")}
 
 
-@pytest.mark.parametrize(("draws", "turn_s"), [(60, None), (12, TIMES_S[6] + 0.3)])  # the latter: a manoeuvre
+@pytest.mark.parametrize(
+    ("draws", "turn_s"), [(200, None), (50, TIMES_S[6] + 0.3)]
+)  # the latter: a manoeuvre
 def test_exposures_in_order_have_no_finding(draws, turn_s):
     assert [findings(attitudes(seed, turn_s=turn_s)) for seed in range(draws)] == [[]] * draws
 
