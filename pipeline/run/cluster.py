@@ -207,10 +207,9 @@ class _Run:
         if not self.running:
             time.sleep(POLL_S)
             return []
-        try:
+        with self.cluster.client.as_current(), suppress(TimeoutError):
             return list(wait(list(self.running), timeout=POLL_S, return_when="FIRST_COMPLETED").done)
-        except TimeoutError:
-            return []
+        return []
 
     def _fetched(self, finished: Sequence[Any]) -> dict[Any, Any]:
         """Outcomes of computed units, fetched at once: one by one each waits for an answer of its own. Empty
@@ -285,13 +284,27 @@ def _scheduler_needed(address: str) -> Iterator[None]:
         ) from error
 
 
+class _Client(Client):
+    """A client that is closed where it finds no scheduler. One that is left half made is closed when it is
+    collected; if that happens while another one starts, both wait for each other for ever.
+    """
+
+    def start(self, **options: Any) -> None:
+        """Connect; the errors are those of dask."""
+        try:
+            super().start(**options)
+        except BaseException:
+            self.close()
+            raise
+
+
 @contextmanager
 def on_cluster(
     address: str, probes: Sequence[Path], wait_s: float | None, say: Callable[[str], None]
 ) -> Iterator[OnCluster]:
     """The executor on the cluster of the scheduler at `address`; `WorkerError` if there is none."""
     try:
-        client = Client(address, timeout=30)
+        client = _Client(address, timeout=30, set_as_default=False)  # the process may have one of its own
     except (OSError, TimeoutError, ValueError, TypeError) as error:  # TypeError: TLS is not configured
         raise WorkerError(f"no scheduler at {address}: {error}") from error
     try:

@@ -87,6 +87,21 @@ def scheduler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Processes]:
     started.stop()
 
 
+@pytest.fixture(autouse=True)
+def nothing_of_a_cluster_is_left() -> Iterator[None]:
+    """Whether a cluster is found or not, what else this process computes with dask is computed as before, and
+    no client is left."""
+    before = of_dask()
+    yield
+    assert of_dask() == before
+
+
+def of_dask() -> tuple[Any, int]:
+    """What computes where nothing else is asked for, and the number of threads that serve clients."""
+    loops = [thread for thread in threading.enumerate() if thread.name == "IO loop"]
+    return dask.config.get("scheduler", None), len(loops)
+
+
 @pytest.fixture
 def two_workers(scheduler: Processes) -> Processes:
     """The scheduler with two fit workers; those that earlier tests left are used again."""
@@ -233,7 +248,8 @@ def test_outcomes_that_are_lost_with_their_worker_are_computed_by_another(two_wo
         address = next(a for a, pid in on.client.run(os.getpid).items() if pid == doomed.pid)
         run.threads, run.all_accepted, run.fetch_s = {address: 2}, False, 0.5
         run._submit()
-        distributed.wait(list(run.running))
+        with on.client.as_current():
+            distributed.wait(list(run.running))
         doomed.kill()
         doomed.wait()
         run.look_at_s = time.monotonic() + 0.2
@@ -321,9 +337,11 @@ def test_scheduler_with_certificates_deadly_units_and_lost_schedulers(tmp_path, 
         return number
 
     try:
-        with pytest.raises(WorkerError, match=r"no scheduler at tls://.*TLS"):
+        before = of_dask()
+        with pytest.raises(WorkerError, match=r"no scheduler at tls://.*TLS") as refused:
             with executor(secured.address, []):
                 pass
+        assert of_dask() == before, refused  # whose frames hold the client that was refused
         comm = {"require-encryption": True, "tls.ca-file": str(certificate)}
         comm |= {"tls.client.cert": str(certificate), "tls.client.key": str(key)}
         with dask.config.set({f"distributed.comm.{name}": value for name, value in comm.items()}):
