@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 from foreign_lenses import SIZE, ForeignLens
-from frames import PLACES, WIDE, listed_stars
+from frames import PLACES, WIDE, direction, listed_stars
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.field import FieldSolution, solve_list
+from boresight.star_id.field_fit import fit_attitude_and_lens
 from boresight.star_id.field_match import match_field
 from boresight.star_id.identification.triangle_index import build_index
 from boresight.star_id.lens_misfit import _largest
@@ -85,6 +87,31 @@ def _with_false(stars, count, rng):
     everything = stars.take(np.append(np.arange(len(stars.xy_px)), rows))
     everything.xy_px[len(stars.xy_px) :] = false.xy_px
     return everything.take(order)
+
+
+def test_a_lens_beyond_the_model_states_an_error_that_holds():
+    """The lens images radius f theta, but for the paper's polynomial: 100 ppm of the field are left over."""
+    rng, ratios = np.random.default_rng(2), []
+    for _ in range(6):
+        R_si = Rotation.random(random_state=rng)
+        u_i = direction(PLACES.ra_rad, PLACES.dec_rad)
+        u_s = R_si.apply(u_i)
+        theta = np.arccos(np.clip(u_s[:, 2], -1, 1))
+        focal_px = 1700.0
+        xy = 1023.5 - focal_px * (theta / np.sin(theta))[:, None] * u_s[:, :2]
+        inside = np.flatnonzero((u_s[:, 2] > 0.5) & ((xy > 0) & (xy < 2047)).all(axis=1))[:200]
+        cov = np.full((len(inside), 1, 1), 0.05**2) * np.eye(2)
+        start = StarCamera(
+            focal_m=focal_px * 5e-6,
+            pixel_m=5e-6,
+            width_px=2048,
+            height_px=2048,
+            principal_px=(1023.5, 1023.5),
+        )
+        measured = xy[inside] + 0.05 * rng.normal(size=(len(inside), 2))
+        fit = fit_attitude_and_lens(start, R_si, measured, cov, u_i[inside])
+        ratios.append((fit.field.camera.fov_x_rad - 2048 / focal_px) / fit.field.fov_x_sigma_rad)
+    assert np.mean(np.square(ratios)) < 3.7  # of 6 degrees of freedom: exceeded once in 1000
 
 
 def test_the_evidence_of_a_misfit_is_followed_along_a_ridge():
