@@ -41,7 +41,8 @@ test: lint
 	$(MAKE) --jobs 2 types suite
 
 suite: install
-	$(BIN)/pytest -n 2 --dist worksteal  # neighbours share a process, and with it the fixtures of their module
+	$(BIN)/pytest -n 2 --dist worksteal -m "not timed"  # neighbours share a process, and their module's fixtures
+	$(BIN)/pytest -m timed  # ratios of CPU times, with nothing beside that takes caches and clock
 
 # All recorded answers of real star images, before a change of star_id is finished; `make suite` asks for a third.
 answers: install

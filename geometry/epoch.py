@@ -44,8 +44,9 @@ _DAY = 86_400  # seconds of a day without leap second
 _NOON = 43_200  # seconds from midnight to noon: days of UTC begin at midnight, `tai_s` counts from noon
 _NOON_OF_ORIGIN = datetime.datetime(2000, 1, 1, 12)  # origin of `Epoch.tai_s` as a calendar date
 _MJD_1972 = 41317  # 1972-01-01, MJD: the first day of UTC with whole leap seconds
-# Regular expression of a UTC date with or without time, ISO 8601, to 1e-18 s.
-_DATE_TIME = re.compile(r"(\d{4})-(\d{2})-(\d{2})(?:[T ](\d{2}):(\d{2}):(\d{2})(?:\.(\d{1,18}))?)?Z?", re.A)
+# Regular expression of a UTC date with or without time, ISO 8601, to 1e-18 s: day, minute, second, fraction.
+_DATE_TIME = re.compile(r"(\d{4}-\d\d-\d\d)(?:[T ](\d\d:\d\d):(\d\d)(\.\d{1,18})?)?Z?", re.A)
+_NO_SUCH_TIME = "no such time of day (no leap second is known there)"
 # Day 0 of MJD, 1858-11-17, in Python's count of days.
 _MODIFIED_JULIAN_ZERO = datetime.date(1858, 11, 17).toordinal()
 
@@ -80,15 +81,16 @@ class Epoch:
         seconds = np.empty(len(dates))
         for n, text in enumerate(dates):
             match = _DATE_TIME.fullmatch(text.strip())
-            if match is None or match.group(4) is None:
+            if match is None or match[2] is None:
                 raise ValueError(f"a GPS date must look like 2020-08-16T12:02:45.812731, found {text!r}")
+            parts = (*match[1].split("-"), *match[2].split(":"), match[3])
             try:
-                date = datetime.datetime(*(int(part) for part in match.groups()[:6]))  # type: ignore[arg-type]
+                date = datetime.datetime(*(int(part) for part in parts))  # type: ignore[arg-type]
             except ValueError as error:
                 raise ValueError(f"GPS date {text!r}: {error}") from None
             since = date - _NOON_OF_ORIGIN
             whole = since.days * _DAY + since.seconds - GPS_MINUS_TAI_S - self.tai_s
-            seconds[n] = whole + float(f"0.{match.group(7) or 0}")
+            seconds[n] = whole + float(match[4] or 0)
         return seconds
 
     def utc_from_seconds(self, t_s: ArrayLike) -> list[str]:
@@ -160,13 +162,17 @@ def _mjd(year: int, month: int, day: int) -> int:
 
 
 @lru_cache(maxsize=4096)
-def _day(year: str, month: str, day: str) -> tuple[int, int, bool]:
-    """UTC seconds from the origin to a day's beginning, its TAI - UTC, and whether a leap second ends it."""
-    mjd = _mjd(int(year), int(month), int(day))
+def _minute(date: str, time: str) -> tuple[int, int]:
+    """TAI seconds from the origin to the begin of a minute of UTC, "2016-12-31" "23:59", and its last second."""
+    mjd = _mjd(*(int(part) for part in date.split("-")))
     if mjd < _MJD_1972:
         raise ValueError("dates before 1972-01-01 are not supported")
-    offset = int(tai_minus_utc_s(mjd))
-    return (mjd - MJD_OF_ORIGIN) * _DAY - _NOON, offset, int(tai_minus_utc_s(mjd + 1)) > offset
+    hour, minute = (int(part) for part in time.split(":"))
+    if hour > 23 or minute > 59:
+        raise ValueError(_NO_SUCH_TIME)
+    offset, next_day = (int(tai_minus_utc_s(day)) for day in (mjd, mjd + 1))
+    begin = (mjd - MJD_OF_ORIGIN) * _DAY - _NOON + hour * 3600 + minute * 60 + offset
+    return begin, 60 if next_day > offset and time == "23:59" else 59
 
 
 def _tai_from_utc(text: str) -> tuple[int, float]:
@@ -174,16 +180,14 @@ def _tai_from_utc(text: str) -> tuple[int, float]:
     match = _DATE_TIME.fullmatch(text := text.strip())
     if match is None:
         raise ValueError(f"UTC must look like 2024-06-30T23:59:59.123456789, found {text!r}")
-    *date, hours, minutes, seconds, fraction = match.groups("0")
+    date, time, seconds, fraction = match.groups("0")
     try:
-        begin, offset, ends_with_leap = _day(*date)
+        begin, last = _minute(date, time if len(time) > 1 else "00:00")
+        if (second := int(seconds)) > last:
+            raise ValueError(_NO_SUCH_TIME)
     except ValueError as error:
         raise ValueError(f"UTC {text!r}: {error}") from None
-    hour, minute, second = int(hours), int(minutes), int(seconds)
-    last_second = 60 if ends_with_leap and (hour, minute) == (23, 59) else 59
-    if hour > 23 or minute > 59 or second > last_second:
-        raise ValueError(f"UTC {text!r}: no such time of day (no leap second is known there)")
-    return begin + hour * 3600 + minute * 60 + second + offset, float(f"0.{fraction}")
+    return begin + second, float(fraction)
 
 
 def _utc_from_tai(tai_s: int, nanosecond: int) -> str:

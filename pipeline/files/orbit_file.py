@@ -67,7 +67,7 @@ _STAMP = re.compile(r"(\d{4})-(?:\d\d-\d\d|(\d{3}))(T\d\d:\d\d:\d\d(?:\.\d+)?)Z?
 _CALENDAR_STAMP = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?", re.ASCII)  # nearly all
 _NUMBER = re.compile(NUMBER)  # a decimal number, whole word
 # A line of an epoch with six coordinates, accelerations optional.
-_STATE = re.compile(rf"\S+(?:\s+{NUMBER}){{6}}(?:(?:\s+{NUMBER}){{3}})?")
+_STATE = re.compile(rf"\S++(?:\s++{NUMBER}){{6}}(?:(?:\s++{NUMBER}){{3}})?")
 _COORDINATES = ("X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT")  # names of the coordinates in errors
 _ACCELERATIONS = ("X_DDOT", "Y_DDOT", "Z_DDOT")  # the same of the optional ones; not used
 

@@ -54,7 +54,7 @@ MAX_LINE = 2**20  # characters of a line of a table
 MAX_JSON_VALUES = 2**22  # of a file; an empty object takes 64 bytes
 # Regular expression of a decimal number in the text files of a dump: ASCII digits, optional sign, point and
 # exponent; no nan, no inf.
-NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+NUMBER = r"[+-]?+(?:[0-9]++\.?+[0-9]*+|\.[0-9]++)(?:[eE][+-]?+[0-9]++)?+"
 PLAIN_NUMBER = "a finite number in ASCII digits"  # the same in messages
 _PLAIN_NUMBER = re.compile(NUMBER)  # of a whole text
 _LINE = re.compile(r"[^\r\n]*(?:\r\n?|\n)|[^\r\n]+")

@@ -103,6 +103,7 @@ def libraries_s() -> list[float]:
     return [loaded(LIBRARIES)[0]]
 
 
+@pytest.mark.timed
 @pytest.mark.parametrize(
     "words, limit, unneeded",
     [  # limit of CPU time as a ratio to that of the libraries; measured were 0.13, 0.48, 0.27, 0.94 and 0.65
