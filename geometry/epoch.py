@@ -163,7 +163,7 @@ def _mjd(year: int, month: int, day: int) -> int:
 
 @lru_cache(maxsize=4096)
 def _minute(date: str, time: str) -> tuple[int, int]:
-    """TAI seconds from the origin to the begin of a minute of UTC, 2016-12-31 and 23:59, and its last second."""
+    """TAI seconds from the origin to the begin of a minute of UTC, "2016-12-31" "23:59", and its last one."""
     mjd = _mjd(*(int(part) for part in date.split("-")))
     if mjd < _MJD_1972:
         raise ValueError("dates before 1972-01-01 are not supported")
