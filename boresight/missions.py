@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -385,20 +385,18 @@ class Validation(Result):
     """Errors of a result, and of the matrix that it started from, against a simulated truth."""
 
     errors: TruthErrors = scalar("the full record")
-    error_rad: ClassVar[inner[Floats]] = inner(
+    error_rad = inner[Floats](
         "errors.error_rad", "(3,) theta of the result's error: R_result = exp[[error]] R_true"
     )
-    sigma_rad: ClassVar[inner[Floats]] = inner("errors.sigma_rad", "(3,) 1-sigma that the result states")
-    nees: ClassVar[inner[float]] = inner(
-        "errors.nees", "error_rad squared in the stated covariance: chi-square of 3 dof"
-    )
-    before_rad: ClassVar[inner[Floats]] = inner("errors.before_rad", "(3,) error of the pre-launch matrix")
-    after: ClassVar[inner[CheckPoints]] = inner("errors.after", "check points with the result's matrix")
-    before: ClassVar[inner[CheckPoints]] = inner("errors.before", "check points with the pre-launch matrix")
-    predicted: ClassVar[inner[tuple[RmsTest, ...]]] = inner(
+    sigma_rad = inner[Floats]("errors.sigma_rad", "(3,) 1-sigma that the result states")
+    nees = inner[float]("errors.nees", "error_rad squared in the stated covariance: chi-square of 3 dof")
+    before_rad = inner[Floats]("errors.before_rad", "(3,) error of the pre-launch matrix")
+    after = inner[CheckPoints]("errors.after", "check points with the result's matrix")
+    before = inner[CheckPoints]("errors.before", "check points with the pre-launch matrix")
+    predicted = inner[tuple[RmsTest, ...]](
         "errors.predicted", "errors of check points against those that the result predicts"
     )
-    without: ClassVar[inner[int]] = inner(
+    without = inner[int](
         "errors.without", "check points without attitude or ground, for which no error can be given"
     )
 
