@@ -15,7 +15,7 @@ from boresight.geometry.epoch import Epoch
 from boresight.geometry.installation import deviation_from_theta
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import column, list_values, read_parquet
-from boresight.pipeline.files.text_files import read_json
+from boresight.pipeline.files.text_files import json_if_there
 from boresight.pipeline.results.identity import identity_of_result, saved_about
 from boresight.pipeline.results.reading import matrix_in, of_camera, read_installation, read_mounting
 from boresight.pipeline.run.digests import rounded_digest
@@ -79,7 +79,7 @@ def read_saved_mounting(folder: Path, camera: str = "") -> SavedMounting:
     camera = camera if content.get("cameras") else ""
     R_cs, theta, covariance = matrix_in(content, camera, folder)
     identity, about = identity_of_result(folder), saved_about(folder)
-    context = _content(folder / "evidence" / "context.json")
+    context = json_if_there(folder / "evidence" / "context.json")
     path = folder / "sightings" / "passes.parquet"
     passes = read_parquet(path)
     utc = passes.column("utc_middle").to_pylist()  # none of a result from vectors
@@ -122,15 +122,11 @@ def read_saved_mounting(folder: Path, camera: str = "") -> SavedMounting:
             "program": identity.program,
             "dump": identity.dump,
             "inputs": identity.inputs,
-            "packages": _content(folder / "run.json").get("packages", {}),
+            "packages": json_if_there(folder / "run.json").get("packages", {}),
             "settings": content.get("settings", {}),
         },
         of_several=camera,
     )
-
-
-def _content(path: Path) -> dict[str, Any]:
-    return read_json(path) if path.is_file() else {}
 
 
 def _temperature_c(folder: Path) -> float:

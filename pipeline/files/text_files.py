@@ -30,6 +30,7 @@ __all__ = [
     "csv_rows",
     "each_once",
     "expected_of",
+    "json_if_there",
     "path_inside",
     "read_json",
     "read_message",
@@ -154,6 +155,11 @@ def read_json(path: Path, file: str = "") -> dict[str, Any]:
     if not isinstance(content, dict):
         raise RawDataError(file, "JSON", type(content).__name__, "an object, as `calibrate` wrote it")
     return content
+
+
+def json_if_there(path: Path) -> dict[str, Any]:
+    """As `read_json`; empty where there is no such file."""
+    return read_json(path) if path.is_file() else {}
 
 
 def _no_number(word: str) -> float:

@@ -19,7 +19,7 @@ from boresight.calib.information import InformationPairs
 from boresight.calib.predicted_earth import predictions_of
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import arrow_rows, column, list_values, read_parquet
-from boresight.pipeline.files.text_files import read_json
+from boresight.pipeline.files.text_files import json_if_there, read_json
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.ownership import check_dump_of, dump_identity, origin_of
 from boresight.pipeline.results.sightings_tables import read_sightings, sightings_schema
@@ -114,7 +114,7 @@ def read_findings(result: Path) -> list[dict[str, Any]]:
     """
     context, installation = result / "evidence" / "context.json", result / "installation.json"
     path = context if context.is_file() else installation
-    content = read_json(path) if path.is_file() else {}
+    content = json_if_there(path)
     found = (content if path == context else content.get("verdict") or {}).get("findings", [])
     if not all(isinstance(one, dict) and {"cause", "item", "text"} <= one.keys() for one in found):
         raise RawDataError(str(path), "findings", found, "objects with cause, item and text")
