@@ -10,7 +10,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -43,6 +42,7 @@ from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.pipeline.calibration.calibrate import DumpCalibration as StageCalibration
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.calibration_run import RunRequest, run_dump, run_dumps
+from boresight.pipeline.console.feature import hooks_of
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, open_cameras, open_dump
 from boresight.pipeline.files.object_store import dump_folder
@@ -495,7 +495,7 @@ def calibrate(
             facts={"version": __version__, "workers": n_workers},
             report=folder is not None,
             progress=told,
-            after_joint=_after_joint() if len(sources) > 1 else (),
+            after_joint=hooks_of(features(), "after_joint") if len(sources) > 1 else (),
         )
         stale = flag_of(allow_stale_eop, "allow_stale_eop")
         if len(sources) > 1:
@@ -541,12 +541,6 @@ def source_of_dump(dump: object) -> str | Path | Dump:
     if not isinstance(dump, str | os.PathLike):
         raise wrong("dump", dump, "a path, an open Dump, or a sequence of them")
     return source_of(dump, "dump")
-
-
-def _after_joint() -> tuple[Callable[[Path, list[str]], str], ...]:
-    """What features do at the end of a joint calibration."""
-    places = [one.after_joint.partition(":") for one in features() if one.after_joint]
-    return tuple(getattr(import_module(f"boresight.{module}"), name) for module, _, name in places)
 
 
 @contextmanager
