@@ -173,7 +173,9 @@ class Comparison(Result):
 
 def compare_mountings(first: SavedMounting, second: SavedMounting, false_alarm: float = 0.01) -> Comparison:
     """The second result against the first."""
-    common = _common_strips(first, second)
+    t = [ORIGIN.seconds_from_utc(one.strips_utc.tolist()) for one in (first, second)]
+    same_instant = (np.abs(t[1][:, None] - t[0]) < SAME_INSTANT_S).any(axis=1)
+    common = [str(name) for name in second.strips[same_instant]]
     shares_camera = first.model == second.model
     theta = theta_between(second.R_cs, first.R_cs)
     covariance = _difference_covariance(first, second, common, shares_camera)
@@ -191,7 +193,7 @@ def compare_mountings(first: SavedMounting, second: SavedMounting, false_alarm: 
         covariance_s=R_sc @ covariance @ R_sc.T,
         chi2=float(np.sum(along**2 / values[own])),
         dof=int(own.sum()),
-        common_strips=tuple(second.strips[np.isin(second.strips, common)].tolist()),
+        common_strips=tuple(common),
         shares_camera=shares_camera,
         false_alarm=false_alarm,
         differing=tuple(_differing(first, second)),
@@ -219,13 +221,6 @@ def _of_strips(saved: SavedMounting, strips: list[str]) -> InformationPairs:
     """The information of some strips of a result."""
     scale = dict.fromkeys(saved.strips.tolist(), 0.0) | dict.fromkeys(strips, 1.0)
     return read_mounting(saved.folder, saved.id, scale, saved.of_several)
-
-
-def _common_strips(first: SavedMounting, second: SavedMounting) -> list[str]:
-    """Strips of the second result that show the same instant as one of the first."""
-    t = [ORIGIN.seconds_from_utc(one.strips_utc.tolist()) for one in (first, second)]
-    near = np.abs(t[1][:, None] - t[0]) < SAME_INSTANT_S
-    return [str(name) for name in second.strips[near.any(axis=1)]]
 
 
 def _differing(first: SavedMounting, second: SavedMounting) -> Iterator[Differing]:

@@ -84,16 +84,12 @@ def gipp_root(gipp: GippFile, stem: str, depth: int = 0) -> Element:
     """
     raw = unpacked(gipp.content(), gipp.file, MAX_BYTES)
     if not _is_archive(raw):
-        return _data(xml_of_bytes(raw, gipp.file))
+        root = xml_of_bytes(raw, gipp.file)  # the document, or an Earth Explorer file with it
+        return next((one for one in root.iterfind("Data_Block/*") if one.find("DATA") is not None), root)
     members = _members(raw, gipp.file, re.escape(stem))
     if stem not in members or depth == MAX_DEPTH:
         raise RawDataError(gipp.file, "members", "no such document", f"{stem}.DBL, .xml or .EOF")
     return gipp_root(members[stem], stem, depth + 1)
-
-
-def _data(root: Element) -> Element:
-    """The document itself, or that in the Data_Block of an Earth Explorer file."""
-    return next((one for one in root.iterfind("Data_Block/*") if one.find("DATA") is not None), root)
 
 
 def _wanted(files: list[str], stem: str) -> dict[str, str]:

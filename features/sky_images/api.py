@@ -674,7 +674,9 @@ def calibrate_star_camera(
     given = [images] if isinstance(images, Stars) else listed(images, "images", "arrays, paths or Stars")
     if not given:
         raise wrong("images", "none", "at least one")
-    utc = None if times is None else [utc_of(time, "times") for time in _times_of(times)]
+    if isinstance(times, str | datetime.datetime | np.datetime64) or getattr(times, "isscalar", False):
+        times = [times]  # type: ignore[list-item]
+    utc = None if times is None else [utc_of(time, "times") for time in listed(times, "times", "times")]
     if utc is not None and len(utc) != len(given):
         raise ValueError(f"{len(utc)} times given for {len(given)} images")
     names = [
@@ -708,13 +710,6 @@ def calibrate_star_camera(
 def image_pixels(image: ImageLike, name: str) -> NDArray[Any]:
     """Grey values (H, W) of a file or an array, as `find_stars` takes them; `name` is the argument's."""
     return _pixels(image, name).pixels
-
-
-def _times_of(times: Iterable[TimeLike] | TimeLike) -> list[Any]:
-    """Times one by one; a text or a datetime is one, an astropy Time may be several."""
-    if isinstance(times, str | datetime.datetime | np.datetime64) or getattr(times, "isscalar", False):
-        return [times]
-    return listed(times, "times", "times")
 
 
 def _pixels(image: object, name: str) -> _Pixels:

@@ -33,7 +33,6 @@ from boresight.pipeline.diagnosis.unused_rows import Rows
 from boresight.pipeline.files.record_tables import columns_of, plain
 from boresight.pipeline.files.table_files import arrow_array, arrow_rows, fixed_list
 from boresight.pipeline.files.whole_file import remove_abandoned, write_inside, write_json
-from boresight.pipeline.results.folder import DUMPS
 from boresight.pipeline.results.sightings_tables import COLUMNS, pairs_table, sightings_schema
 from boresight.pipeline.run.digests import rounded_digest
 from boresight.pipeline.run.settings import Settings
@@ -46,7 +45,6 @@ __all__ = [
     "installation_facts",
     "joint_ground_m_per_rad",
     "verdict_json",
-    "write_dumps",
     "write_installation",
     "write_joint_result",
     "write_result",
@@ -134,11 +132,6 @@ def _write_tables(
     }
     for name, groups in (tables | of_all).items():
         _write_groups(result / "sightings" / f"{name}.parquet", groups)
-
-
-def write_dumps(result: Path, names: Sequence[str]) -> None:
-    """Note that the folder is of several dumps, whose own results lie in its folders `names`."""
-    write_json(result / DUMPS, {"dumps": list(names)})
 
 
 def write_run(result: Path, facts: dict[str, Any]) -> None:
