@@ -29,6 +29,7 @@ from boresight.geometry.installation import theta_between
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import read_parquet
+from boresight.pipeline.files.text_tables import leaves
 from boresight.pipeline.report.page_template import template
 from boresight.pipeline.results.reading import read_mounting
 from boresight.records.record import Floats, array, record, scalar
@@ -227,19 +228,13 @@ def _differing(first: SavedMounting, second: SavedMounting) -> Iterator[Differin
     for name in STATED:
         if getattr(first, name) != getattr(second, name):
             yield Differing(name, str(getattr(first, name)), str(getattr(second, name)))
-    ours, theirs = (dict(_flat(one.facts)) | _inputs(one.folder) for one in (first, second))
+    ours, theirs = (
+        {key: value for key, value in leaves(one.facts) if value != {}} | _inputs(one.folder)
+        for one in (first, second)
+    )
     for key in dict.fromkeys([*ours, *theirs]):
         if ours.get(key) != theirs.get(key):
             yield Differing(key, str(ours.get(key, "")), str(theirs.get(key, "")))
-
-
-def _flat(values: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """The leaves of nested tables with their paths."""
-    if isinstance(values, dict):
-        for key, value in values.items():
-            yield from _flat(value, f"{path}.{key}" if path else str(key))
-    else:
-        yield path, values
 
 
 def _inputs(folder: Path) -> dict[str, str]:
