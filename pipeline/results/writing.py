@@ -44,6 +44,7 @@ __all__ = [
     "blind_spots_json",
     "installation_facts",
     "joint_ground_m_per_rad",
+    "rotation_json",
     "verdict_json",
     "write_installation",
     "write_joint_result",
@@ -234,7 +235,7 @@ def _matrices(
         R_cs, covariance = estimate.of_camera(name)
         theta = estimate.theta[3 * n : 3 * n + 3]
         matrix = {
-            **_rotation(R_cs, "R_cs", theta, covariance),
+            **rotation_json(R_cs, "R_cs", theta, covariance),
             "euler_zxy_deg": np.degrees(euler_zxy_from_theta(theta)).tolist(),
             "ground_m_per_rad": ground.tolist(),
         }
@@ -242,7 +243,7 @@ def _matrices(
     if len(cameras) == 1:
         return cameras[0]
     between = [
-        {"cameras": list(one.cameras), **_rotation(one.R_ab, "R_ab", one.theta, one.covariance)}
+        {"cameras": list(one.cameras), **rotation_json(one.R_ab, "R_ab", one.theta, one.covariance)}
         | {"p_value": one.p_value, "as_before_launch": one.as_before_launch}
         for one in estimate.between(sigma_rad)
     ]
@@ -250,7 +251,8 @@ def _matrices(
     return {"cameras": cameras, "between_cameras": between, "cameras_covariance_rad2": full}
 
 
-def _rotation(R: Rotation, name: str, theta: Floats, covariance: Floats) -> dict[str, Any]:
+def rotation_json(R: Rotation, name: str, theta: Floats, covariance: Floats) -> dict[str, Any]:
+    """A rotation of the name, with its theta (3,), rad, and covariance (3, 3), rad^2, for JSON."""
     return {
         name: R.as_matrix().tolist(),
         "quaternion": R.as_quat(canonical=True).tolist(),
