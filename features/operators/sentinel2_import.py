@@ -20,7 +20,6 @@ from boresight.features.operators.sentinel2_grid import operator_orbit, refined_
 from boresight.features.operators.sentinel2_product import Sentinel2
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import EarthOrientationTable
-from boresight.records.record import Floats
 
 __all__ = ["CORRECTED", "REFINED", "AttitudeLevel", "sentinel2_mission"]
 
@@ -65,7 +64,8 @@ def sentinel2_mission(
         found = {name: (record, strip.R_cp * strip.R_ps[name]) for name, record in strip.trackers.items()}
     heads_of = []
     for name, (record, R_cs0) in found.items():
-        inside = _inside(record.t_s, orbit.span_s)
+        first, last = np.searchsorted(record.t_s, orbit.span_s)  # attitudes outlast the ephemeris
+        inside = slice(int(first), int(last))
         t_s, R_is = record.t_s[inside], record.R_is[inside]
         heads_of.append(
             ImportedHead(
@@ -135,9 +135,3 @@ def _gyro(strip: Sentinel2, R_ps: Rotation) -> ImportedGyro | None:
         bias_walk_rad_s=BIAS_WALK_ARCSEC_S * ARCSEC,
         white_rad=WHITE_ARCSEC * ARCSEC,
     )
-
-
-def _inside(t_s: Floats, span_s: tuple[float, float]) -> slice:
-    """Rows within a span: the operator's attitudes outlast the ephemeris."""
-    first, last = np.searchsorted(t_s, span_s)
-    return slice(int(first), int(last))
