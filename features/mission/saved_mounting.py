@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.information import InformationPairs
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.installation import deviation_from_theta
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import refusing
 from boresight.pipeline.files.table_files import column, list_values, read_parquet
 from boresight.pipeline.files.text_files import json_if_there
 from boresight.pipeline.results.identity import identity_of_result, saved_about
@@ -83,10 +83,8 @@ def read_saved_mounting(folder: Path, camera: str = "") -> SavedMounting:
     path = folder / "sightings" / "passes.parquet"
     passes = read_parquet(path)
     utc = passes.column("utc_middle").to_pylist()  # none of a result from vectors
-    try:
+    with refusing(str(path), "utc_middle", "UTC times of strips"):
         t_s = float(np.mean(ORIGIN.seconds_from_utc(utc))) if utc else np.nan
-    except ValueError as error:
-        raise RawDataError(str(path), "utc_middle", str(error), "UTC times of strips") from error
     u = column(passes, "argument_of_latitude_rad")
     settings = content.get("settings", {}).get("calibration", {})
     cameras = sorted(set(passes.column("camera").to_pylist()))

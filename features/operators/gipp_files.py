@@ -19,7 +19,7 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from xml.etree.ElementTree import Element
 
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.content import check_extent, limited_content
 from boresight.pipeline.files.text_files import unpacked
 from boresight.pipeline.files.xml_files import xml_of_bytes
@@ -113,10 +113,8 @@ def _members(raw: bytes, file: str, stem: str) -> dict[str, GippFile]:
     if not _is_archive(raw):
         expected = "a folder of GIPP files, or an archive of them: ZIP, or tar, plain or with gzip"
         raise RawDataError(file, "byte 257", "no tar archive", expected)
-    try:
+    with refusing(file, "archive", "a whole archive, without a password", DAMAGE):
         wanted = _of_zip(raw, file, stem) if raw.startswith(ZIP) else _of_tar(raw, file, stem)
-    except DAMAGE as error:
-        raise RawDataError(file, "archive", str(error), "a whole archive, without a password") from error
     return {
         own: GippFile(f"{file}: {PurePosixPath(name).name}", partial(bytes, content))
         for own, (name, content) in wanted.items()

@@ -13,7 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.features.sky_images.score import CentroidScore, score_centroids
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.images.star_images import read_star_image
 from boresight.pipeline.files.text_files import read_text
 from boresight.pipeline.files.text_tables import table_csv
@@ -144,10 +144,8 @@ def _table(path: Path, stars: StarList) -> pd.DataFrame:
 
 def _read_truth(path: Path) -> pd.DataFrame:
     text = read_text(path, str(path))
-    try:
+    with refusing(str(path), "file", "a CSV file with x_px, y_px, flux_dn", (ValueError, OverflowError)):
         table = pd.read_csv(io.StringIO(text))
-    except (ValueError, OverflowError) as error:
-        raise RawDataError(str(path), "file", str(error), "a CSV file with x_px, y_px, flux_dn") from error
     for column in ("x_px", "y_px", "flux_dn"):
         if column not in table or not pd.api.types.is_numeric_dtype(table[column]):
             found = ", ".join(map(str, table.columns[:20]))
