@@ -109,8 +109,7 @@ def draw_score(score: CentroidScore, path: Path) -> None:
     middle = np.sqrt(score.snr_edges[:-1] * np.minimum(score.snr_edges[1:], 2.0 * score.snr_edges[:-1]))
     left.loglog(middle, score.rms_px, "o", color=SERIES[0][0], label="rms error, one axis")
     left.loglog(middle, score.bound_px, "-", color=SERIES[1][0], label="Cramér-Rao bound")
-    left.set_xlabel("signal-to-noise ratio")
-    left.set_ylabel("px")
+    left.set(xlabel="signal-to-noise ratio", ylabel="px")
     left.legend(fontsize=8, frameon=False)
     phases = len(score.phase_bias_px)
     phase = (np.arange(phases) + 0.5) / phases - 0.5
@@ -118,8 +117,7 @@ def draw_score(score: CentroidScore, path: Path) -> None:
         bias, error = score.phase_bias_px[:, axis], score.phase_error_px[:, axis]
         right.errorbar(phase, bias, error, fmt=marker, color=colour, label=name)
     right.axhline(0.0, color=GREY, lw=0.8)
-    right.set_xlabel("pixel phase, px")
-    right.set_ylabel("mean error, px")
+    right.set(xlabel="pixel phase, px", ylabel="mean error, px")
     right.legend(fontsize=8, frameon=False)
     write_figure(path, figure)
 
