@@ -21,10 +21,9 @@ from boresight.features.operators.sentinel2_product import Sentinel2
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import EarthOrientationTable
 
-__all__ = ["CORRECTED", "REFINED", "AttitudeLevel", "sentinel2_mission"]
+__all__ = ["AttitudeLevel", "sentinel2_mission"]
 
 AttitudeLevel = Literal["raw", "corrected", "refined"]
-CORRECTED, REFINED = "CORRECTED", "REFINED"  # names of the heads of the operator's attitudes
 AXIS_LENGTH, WALK_ARCSEC = 0.01, 0.2  # of a gyro's axis, off by at most; noise of one at most
 BIAS_WALK_ARCSEC_S, WHITE_ARCSEC = 1e-3, 1e-3  # assumed: a record of 90 s shows none; one count
 SIGMA_INSTALLATION_ARCSEC = 20.0  # SPAMOD has moved by 5 arc-seconds in six years
@@ -57,9 +56,9 @@ def sentinel2_mission(
     cameras = [refined_camera(band) if attitudes == "refined" else band.camera for band in bands]
     ids = [band.band if len(bands) > 1 else "" for band in bands]
     if attitudes == "corrected":
-        found = {CORRECTED: (strip.corrected, strip.R_cp)}
+        found = {"CORRECTED": (strip.corrected, strip.R_cp)}
     elif attitudes == "refined":
-        found = {REFINED: (refined_attitudes(strip), strip.R_cp)}
+        found = {"REFINED": (refined_attitudes(strip), strip.R_cp)}
     else:
         found = {name: (record, strip.R_cp * strip.R_ps[name]) for name, record in strip.trackers.items()}
     heads_of = []

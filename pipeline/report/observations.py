@@ -22,8 +22,6 @@ from boresight.records.ledger import Kind, State
 from boresight.records.record import Floats, record, scalar
 
 __all__ = [
-    "KEYS",
-    "MOST_PRINTED",
     "Aims",
     "ExposureCard",
     "Pictures",
@@ -31,8 +29,6 @@ __all__ = [
     "TargetCard",
     "data_uri",
     "exposure_rows",
-    "pictures_of",
-    "rows_by_key",
     "shown_pictures",
     "strip_numbers",
     "strip_star_rows",
