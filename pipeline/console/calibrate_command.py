@@ -189,8 +189,7 @@ def _machine() -> dict[str, object]:
 @contextmanager
 def _warnings_reported() -> Iterator[None]:
     """Warnings of the library as one line each on stderr."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         yield
     for text in dict.fromkeys(str(warning.message) for warning in caught):
         log.warning("warning: %s", text)

@@ -137,8 +137,7 @@ def _decoding(file: str, field: str, expected: str) -> Iterator[None]:
     refused where it matters, are not shown.
     """
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             yield
     except RawDataError:
         raise
@@ -251,8 +250,7 @@ def _netpbm_text(content: bytes, start: int, shape: tuple[int, ...], file: str) 
     if text.translate(None, b"0123456789 \t\r\n\v\f"):
         text = re.sub(rb"#[^\n]*", b"", text)
     with refusing(file, "pixels", f"{need} numbers", (ValueError, DeprecationWarning)):
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # of text that is no number
+        with warnings.catch_warnings(action="error"):  # of text that is no number
             values = np.fromstring(text, dtype=np.int64, sep=" ")[:need]
     if len(values) < need or values.min(initial=0) < 0:
         found = f"{len(values)} numbers" if len(values) < need else f"a value of {values.min()}"

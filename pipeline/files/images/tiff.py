@@ -13,6 +13,7 @@ import warnings
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +60,8 @@ _ALONE = {  # GDAL reads that file and no other: no sidecar, no network
     "GDAL_TIFF_INTERNAL_MASK": "YES",
     "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": ".none",
 }
+# Images of cameras have no map.
+_unplaced = partial(warnings.catch_warnings, action="ignore", category=NotGeoreferencedWarning)
 
 
 def read_tiff(image: ImageFile) -> NDArray[Any]:
@@ -93,8 +96,7 @@ def open_tiff(image: ImageFile) -> Iterator[Any]:
         streams.append(image.path.open(mode, buffering=0))
         return streams[-1]
 
-    with rasterio.Env(**_ALONE), warnings.catch_warnings(), ExitStack() as memory, _answered(streams):
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+    with rasterio.Env(**_ALONE), _unplaced(), ExitStack() as memory, _answered(streams):
         with refusing(image.name, "TIFF header", "a TIFF image", (RasterioError, ValueError, OSError)):
             source: Any = image.path.resolve()
             if image.content is not None:
@@ -203,8 +205,7 @@ def _check_photometric(image: ImageFile) -> None:
 def planes_of_png(content: bytes, file: str) -> NDArray[Any]:
     """All planes (K, height, width) of a PNG file in memory, by libpng; `RawDataError` if it is none."""
     with refusing(file, "pixels", "pixels that decode", (RasterioError, ValueError, OSError, MemoryError)):
-        with rasterio.Env(**_ALONE), warnings.catch_warnings(), MemoryFile(content) as memory:
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.Env(**_ALONE), _unplaced(), MemoryFile(content) as memory:
             with memory.open(driver="PNG") as image:
                 return np.asarray(image.read())
 
@@ -275,10 +276,8 @@ def check_strip_file(path: Path, file: str, *, lines: int, samples: int, bit_dep
 def tiff_opened(path: Path, shape: tuple[int, int], kind: str, **options: Any) -> Iterator[Any]:
     """A new file of (lines, samples) of a NumPy type, to be written by windows; `options` are GDAL's."""
     profile = {"driver": "GTiff", "height": shape[0], "width": shape[1], "count": 1, "dtype": kind}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(path, "w", **profile, **options) as image:
-            yield image
+    with _unplaced(), rasterio.open(path, "w", **profile, **options) as image:
+        yield image
 
 
 def write_tiff(path: Path, pixels: NDArray[Any], **options: Any) -> None:
