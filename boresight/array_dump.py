@@ -235,15 +235,10 @@ def dump_from_arrays(
     write_toml(folder / "dump.toml", head)  # last: a dump with a dump.toml is complete
     try:
         return open_dump(folder)
-    except RawDataError as error:
-        raise _of_argument(error) from error
-
-
-def _of_argument(error: RawDataError) -> RawDataError:
-    """The error with the argument and its row, from 0, instead of the file and its line."""
-    argument = ARGUMENTS.get(error.file, error.file)
-    field = re.sub(r"^line (\d+)", lambda line: f"row {int(line[1]) - 2}", error.field)
-    return RawDataError(argument, field, error.found, error.expected)
+    except RawDataError as error:  # names the argument and its row, from 0, not the file and its line
+        field = re.sub(r"^line (\d+)", lambda line: f"row {int(line[1]) - 2}", error.field)
+        argument = ARGUMENTS.get(error.file, error.file)
+        raise RawDataError(argument, field, error.found, error.expected) from error
 
 
 def _new_folder(out: PathLike | None) -> Path:

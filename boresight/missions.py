@@ -10,9 +10,8 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -43,6 +42,7 @@ from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.pipeline.calibration.calibrate import DumpCalibration as StageCalibration
 from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.calibration_run import RunRequest, run_dump, run_dumps
+from boresight.pipeline.console.feature import hooks_of
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, open_cameras, open_dump
 from boresight.pipeline.files.object_store import dump_folder
@@ -385,20 +385,18 @@ class Validation(Result):
     """Errors of a result, and of the matrix that it started from, against a simulated truth."""
 
     errors: TruthErrors = scalar("the full record")
-    error_rad: ClassVar[inner[Floats]] = inner(
+    error_rad = inner[Floats](
         "errors.error_rad", "(3,) theta of the result's error: R_result = exp[[error]] R_true"
     )
-    sigma_rad: ClassVar[inner[Floats]] = inner("errors.sigma_rad", "(3,) 1-sigma that the result states")
-    nees: ClassVar[inner[float]] = inner(
-        "errors.nees", "error_rad squared in the stated covariance: chi-square of 3 dof"
-    )
-    before_rad: ClassVar[inner[Floats]] = inner("errors.before_rad", "(3,) error of the pre-launch matrix")
-    after: ClassVar[inner[CheckPoints]] = inner("errors.after", "check points with the result's matrix")
-    before: ClassVar[inner[CheckPoints]] = inner("errors.before", "check points with the pre-launch matrix")
-    predicted: ClassVar[inner[tuple[RmsTest, ...]]] = inner(
+    sigma_rad = inner[Floats]("errors.sigma_rad", "(3,) 1-sigma that the result states")
+    nees = inner[float]("errors.nees", "error_rad squared in the stated covariance: chi-square of 3 dof")
+    before_rad = inner[Floats]("errors.before_rad", "(3,) error of the pre-launch matrix")
+    after = inner[CheckPoints]("errors.after", "check points with the result's matrix")
+    before = inner[CheckPoints]("errors.before", "check points with the pre-launch matrix")
+    predicted = inner[tuple[RmsTest, ...]](
         "errors.predicted", "errors of check points against those that the result predicts"
     )
-    without: ClassVar[inner[int]] = inner(
+    without = inner[int](
         "errors.without", "check points without attitude or ground, for which no error can be given"
     )
 
@@ -497,7 +495,7 @@ def calibrate(
             facts={"version": __version__, "workers": n_workers},
             report=folder is not None,
             progress=told,
-            after_joint=_after_joint() if len(sources) > 1 else (),
+            after_joint=hooks_of(features(), "after_joint") if len(sources) > 1 else (),
         )
         stale = flag_of(allow_stale_eop, "allow_stale_eop")
         if len(sources) > 1:
@@ -543,12 +541,6 @@ def source_of_dump(dump: object) -> str | Path | Dump:
     if not isinstance(dump, str | os.PathLike):
         raise wrong("dump", dump, "a path, an open Dump, or a sequence of them")
     return source_of(dump, "dump")
-
-
-def _after_joint() -> tuple[Callable[[Path, list[str]], str], ...]:
-    """What features do at the end of a joint calibration."""
-    places = [one.after_joint.partition(":") for one in features() if one.after_joint]
-    return tuple(getattr(import_module(f"boresight.{module}"), name) for module, _, name in places)
 
 
 @contextmanager

@@ -26,7 +26,6 @@ from boresight.geometry.sightings import GroundSightings
 
 __all__ = [
     "MODES",
-    "OF_CAMERA",
     "ccd_modes",
     "correlation",
     "knot_weights",

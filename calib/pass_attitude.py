@@ -190,11 +190,6 @@ def _ends(times: Floats) -> tuple[float, float]:
     return (float(times[0]), float(times[-1])) if len(times) else (0.0, 0.0)
 
 
-def _here(t_s: Floats, times: Floats) -> Bools:
-    """Rows (K,) of another head that lie between the first and the last of the reference head's."""
-    return (t_s >= times[0]) & (t_s <= times[-1]) if len(times) else np.zeros(len(t_s), dtype=bool)
-
-
 def _rows_of(strip: StripSightings, settings: CalibrationSettings) -> dict[str, HeadRows]:
     """Rows of the head that carries a strip, and of all others that have some between them, by head."""
     times, R_si, R_oi, covariance_s = strip.usable()
@@ -203,8 +198,8 @@ def _rows_of(strip: StripSightings, settings: CalibrationSettings) -> dict[str, 
         t_s=times, R_so=R_si * R_oi.inv(), covariance_s=covariance_s + vibration, noise=strip.noise
     )
     rows = {strip.carrier: own}
-    for other in strip.others:
-        if (here := _here(other.t_s, times)).any():
+    for other in strip.others if len(times) else ():
+        if (here := (other.t_s >= times[0]) & (other.t_s <= times[-1])).any():
             A = other.R_sh.as_matrix()
             rows[other.head] = HeadRows(
                 t_s=other.t_s[here],

@@ -10,7 +10,7 @@ that the pushbroom model uses. `StripImage` is what rooms that look at a strip's
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from typing import Any, Literal, Protocol
 
 import numpy as np
@@ -151,6 +151,12 @@ class Ccd:
         along, slope = self._along(ends)
         if np.any(slope <= 0.0) or along[1] <= along[0]:
             raise ValueError("the distortion table reverses the order of the samples")
+
+    @property
+    def bare(self) -> Ccd:
+        """The detector without its distortion table."""
+        none = np.zeros(0)
+        return replace(self, distortion_samples=none, distortion_offsets_m=none, across_offsets_m=none)
 
     def focal_plane(self, sample: ArrayLike) -> Floats:
         """Ideal image points (N, 2), `(x_f, y_f)`, m, of samples (N,), distortion removed."""

@@ -25,11 +25,11 @@ from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.files.text_files import read_json
-from boresight.pipeline.files.whole_file import make_own_folder
+from boresight.pipeline.files.whole_file import make_own_folder, write_json
 from boresight.pipeline.report.dumps_page import write_dumps_report
 from boresight.pipeline.report.evidence import write_evidence, write_joint_evidence
 from boresight.pipeline.report.page import write_no_result, write_report
-from boresight.pipeline.results.folder import begin_result, results_in, store_of
+from boresight.pipeline.results.folder import DUMPS, begin_result, results_in, store_of
 from boresight.pipeline.results.identity import write_about
 from boresight.pipeline.results.ownership import claimed
 from boresight.pipeline.results.reading import read_findings, read_installation
@@ -49,7 +49,6 @@ from boresight.pipeline.results.summary import (
     verdict_lines,
 )
 from boresight.pipeline.results.writing import (
-    write_dumps,
     write_installation,
     write_joint_result,
     write_run,
@@ -136,7 +135,7 @@ def run_dumps(out: Path, dumps: Sequence[NamedDump], request: RunRequest) -> Run
         if (kept := _kept(out, inputs, request, write_dumps_report)) is not None:
             return kept
         begin_result(out)
-        write_dumps(out, [named.name for named in dumps])
+        write_json(out / DUMPS, {"dumps": [named.name for named in dumps]})
         calibrated: list[tuple[NamedDump, DumpCalibration]] = []
         failed: list[Entry] = []
         stores: dict[Path, Path] = {}  # folder of the first camera of each dump: all share its star exposures

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 from boresight.records.ledger import Entry
 
-__all__ = ["DataNotSufficientError", "RawDataError", "WorkerError", "printable"]
+__all__ = ["DataNotSufficientError", "RawDataError", "WorkerError", "printable", "refusing"]
 
 
 class RawDataError(Exception):
@@ -41,6 +42,21 @@ class DataNotSufficientError(Exception):
 
 class WorkerError(Exception):
     """A unit could not be computed: its process died repeatedly, no worker can do it, a store is silent."""
+
+
+@contextmanager
+def refusing(
+    file: str,
+    field: str,
+    expected: str,
+    kinds: type[Exception] | tuple[type[Exception], ...] = ValueError,
+    found: object = None,
+) -> Iterator[None]:
+    """Errors of these kinds become a `RawDataError` about a field of a file; `found` is else their text."""
+    try:
+        yield
+    except kinds as error:
+        raise RawDataError(file, field, str(error) if found is None else found, expected) from error
 
 
 def printable(text: str) -> str:

@@ -114,7 +114,9 @@ class ProceduralGround:
         self._key = key
         self._date = date
         self._landscape = Landscape(settings, key, date)
-        self._cloud_level = self._cloud_threshold()
+        x, y = np.meshgrid(*(np.arange(300) * settings.cloud.size_km * 1e3 / 5.3,) * 2)
+        clear = 1.0 - min(settings.cloud.cover, 1.0)
+        self._cloud_level = float(np.quantile(self._cloud_noise(x, y), clear))
 
     def patch(self, column: int, row: int, width: int, height: int) -> Patch:
         """Reflectance of the texels of a window, (height, width)."""
@@ -176,10 +178,6 @@ class ProceduralGround:
             (smooth_noise(x / size * 2**n, y / size * 2**n, self._key + 300 + n) / 2**n for n in range(4)),
             start=np.zeros_like(x),
         )
-
-    def _cloud_threshold(self) -> float:
-        x, y = np.meshgrid(*(np.arange(300) * self._settings.cloud.size_km * 1e3 / 5.3,) * 2)
-        return float(np.quantile(self._cloud_noise(x, y), 1.0 - min(self._settings.cloud.cover, 1.0)))
 
 
 class ImageGround:

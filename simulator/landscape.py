@@ -144,7 +144,7 @@ class Landscape:
         field, forest, town = (kinds == kind for kind in (_FIELD, _FOREST, _SETTLEMENT))
         self._cells[column, row] = _Cell.over(
             _parcels(quads, kinds, u[:, :2]),
-            _clearings(quads[forest], u[forest, 2]),
+            _textured(_shrunk(quads[forest], 0.12), _of_range(u[forest, 2], 20, 34), 150),  # inside of a wood
             self._crops(quads[field], u[field]),
             *_blots(quads[field], u[field, 6:22].reshape(-1, 4, 4), u[field, 5]),
             *self._houses(quads[town], u[town, 22:]),
@@ -252,11 +252,6 @@ def _parcels(quads: Array, kinds: Index, u: Array) -> Shapes:
     tones = lowest + np.floor((highest - lowest) * u[:, 0])
     roughs = np.array([0, 12, 50, 120])[kinds] + (kinds == _FIELD) * (20 + 5 * np.floor(8 * u[:, 1]))
     return _textured(quads, tones, roughs)
-
-
-def _clearings(quads: Array, u: Array) -> Shapes:
-    """The inner part of a wood."""
-    return _textured(_shrunk(quads, 0.12), _of_range(u, 20, 34), 150)
 
 
 def _blots(quads: Array, u: Array, count: Array) -> list[Shapes]:

@@ -75,7 +75,9 @@ def fractal(
     weights /= np.sqrt((weights**2).sum())
     windows = [(column, row, width, height)]
     for _ in range(octaves):
-        windows.append(_coarser(*windows[-1]))
+        x, y, w, h = windows[-1]  # the window of the next coarser lattice covers it, with a point more around
+        c, r = x // 2 - 1, y // 2 - 1
+        windows.append((c, r, (x + w + 1) // 2 + 1 - c, (y + h + 1) // 2 + 1 - r))
     total = weights[-1].astype(np.float32) * white(*windows[-1], key + octaves)
     for level in range(octaves - 1, 0, -1):
         (total,) = _finer(total, (windows[level], windows[level + 1]), windows[level][3])
@@ -102,12 +104,6 @@ def _finer(
         fine = cv2.resize(near, (2 * coarse_width, 2 * len(near)), interpolation=cv2.INTER_LINEAR)
         skipped = top - 2 * (coarse_row + first)
         yield np.asarray(fine[skipped : skipped + rows, left : left + width])
-
-
-def _coarser(column: int, row: int, width: int, height: int) -> tuple[int, int, int, int]:
-    """The window of the next coarser lattice that covers this one, with a point more on every side."""
-    c, r = column // 2 - 1, row // 2 - 1
-    return c, r, (column + width + 1) // 2 + 1 - c, (row + height + 1) // 2 + 1 - r
 
 
 def _hashed(i: NDArray[np.int64], j: NDArray[np.int64], key: int) -> NDArray[np.uint32]:

@@ -50,7 +50,6 @@ from boresight.simulator.ground_targets import Placed, draw_check_points, place_
 from boresight.simulator.mission_records import (
     Installation,
     Mission,
-    OrbitReport,
     RenderedExposure,
     RenderedStrip,
     StatedErrors,
@@ -61,7 +60,7 @@ from boresight.simulator.mission_records import (
     Truth,
 )
 from boresight.simulator.motion import TrueAttitude, flown_orbit, reported_orbit, scan_attitude, true_attitude
-from boresight.simulator.relief import Affine, relief_grid
+from boresight.simulator.relief import relief_grid
 from boresight.simulator.rendered_stars import StarField, with_invented_stars
 from boresight.simulator.scan import TrueScene, all_panels, needed_sample_step, panels_near, scan
 from boresight.simulator.scenario import Scenario
@@ -112,10 +111,13 @@ def render_mission(
     position_e = _rng(seed, "gps").standard_normal((strips, 3)) * scenario.errors.gps_m
     clock_s = _rng(seed, "clock").standard_normal(strips) * scenario.errors.clock_s
     R_cs0 = measured_installation(scenario.installation)
+    # a strip's error of the receiver's ephemeris holds as far around it as the spacing allows, 6 s at most
+    hold_s = 0.5 * plan.strip_s + min(6.0, 0.3 * (scenario.strips.spacing_s - plan.strip_s))
+    middles = plan.strips_s + 0.5 * plan.strip_s
     return Mission(
         scenario=scenario,
         epoch=world.orbit.epoch,
-        orbit=_orbit_report(scenario, plan, world.orbit, position_e),
+        orbit=reported_orbit(world.orbit, plan.oem_s, middles, position_e, hold_s),
         star_camera=sky.camera,
         line_camera=calibrated_line_camera(scenario.line_camera),
         installation=Installation(R_cs0, np.array(scenario.installation.sigma_rad)),
@@ -308,13 +310,16 @@ def _scenes(
     scenes: list[TrueScene] = []
     grounds: dict[int, BlurredGround] = {}  # strips of one zone share their tiles
     for model, (south, west, north, east) in zip(models, boxes):
-        epsg = _utm_epsg(0.5 * (south + north), 0.5 * (west + east))
+        zone = int((0.5 * (west + east) + 180.0) % 360.0 // 6.0) + 1  # of UTM
+        epsg = (32600 if 0.5 * (south + north) >= 0.0 else 32700) + zone
         if epsg not in grounds:
             grounds[epsg] = _seen_ground(scenario, epsg, seed, ground_image, date=1)
         last = float(scenario.strips.lines + 64)
         step = needed_sample_step(model, surface, scenario.strips.lines)
         scenes.append(TrueScene(model.tabulated(-64.0, last), surface, epsg, grounds[epsg], step))
-    return scenes, _terrain_report(scenario, heights, affine, seed)
+    error = scenario.terrain.error_m * _rng(seed, "terrain error").standard_normal(heights.shape)
+    reported = (heights + error).astype(np.float32)
+    return scenes, TerrainReport(reported, affine, scenario.terrain.error_m)
 
 
 def _ground_points(
@@ -340,14 +345,6 @@ def _ground_points(
         chance = _rng(seed, "check points", n)
         checks += draw_check_points(strip_id, scene, lines, scenario.targets.check_points_per_strip, chance)
     return [item for item in targets if item.truth], checks
-
-
-def _terrain_report(
-    scenario: Scenario, heights: NDArray[np.float32], affine: Affine, seed: int
-) -> TerrainReport:
-    error = scenario.terrain.error_m * _rng(seed, "terrain error").standard_normal(heights.shape)
-    reported = (heights + error).astype(np.float32)
-    return TerrainReport(reported, affine, scenario.terrain.error_m)
 
 
 def _seen_ground(
@@ -451,13 +448,6 @@ def _gains(scenario: Scenario, seed: int) -> list[NDArray[np.float32]]:
     return [(1.0 + sigma * each).astype(np.float32) for each in spread]
 
 
-def _orbit_report(scenario: Scenario, plan: _Plan, orbit: Orbit, position_e: Array) -> OrbitReport:
-    """The receiver's ephemeris; a strip's error holds as far around it as the spacing allows, 6 s at most."""
-    middles = plan.strips_s + 0.5 * plan.strip_s
-    hold = 0.5 * plan.strip_s + min(6.0, 0.3 * (scenario.strips.spacing_s - plan.strip_s))
-    return reported_orbit(orbit, plan.oem_s, middles, position_e, hold)
-
-
 def _stated(scenario: Scenario) -> StatedErrors:
     errors = scenario.errors
     return StatedErrors(
@@ -487,11 +477,6 @@ def _box_deg(model: Pushbroom, scenario: Scenario) -> tuple[float, float, float,
         float(lat_deg.max() + _MARGIN_DEG),
         float(lon_deg.max() + wide),
     )
-
-
-def _utm_epsg(lat_deg: float, lon_deg: float) -> int:
-    zone = int((lon_deg + 180.0) % 360.0 // 6.0) + 1
-    return (32600 if lat_deg >= 0.0 else 32700) + zone
 
 
 def _rng(seed: int, name: str, *index: int) -> np.random.Generator:

@@ -55,21 +55,17 @@ class SkyScene:
     rate: float = scalar("pixels a row")
     stars: StarPlaces = scalar("true places of the stars around the scan")
 
-    @property
-    def _span(self) -> tuple[float, float]:
-        """Lines within which a star is looked for."""
-        return -_BEYOND_LINES, self.settings.lines + _BEYOND_LINES
-
     def crossings(self, ccd: int) -> tuple[StarPlaces, Array]:
         """Stars (N,) that cross a CCD during the strip, and where, (N, 2): sample and line."""
-        line: Array = np.full(len(self.stars.hip), 0.5 * self.settings.lines, dtype=np.float64)
+        lines = self.settings.lines
+        line: Array = np.full(len(self.stars.hip), 0.5 * lines, dtype=np.float64)
         u_i = self._apparent(self.stars, line)
         for step in range(_CROSSING_STEPS):
             sample, across = self._places(ccd, u_i, line)
-            line = np.clip(line + across / self.rate, *self._span)
+            line = np.clip(line + across / self.rate, -_BEYOND_LINES, lines + _BEYOND_LINES)
             if step == _CROSSING_STEPS // 2:
                 u_i = self._apparent(self.stars, line)
-        size = np.array([self.camera.n_px(ccd), self.settings.lines])
+        size = np.array([self.camera.n_px(ccd), lines])
         off = np.abs(np.column_stack([sample, line]) - 0.5 * (size - 1.0)) - 0.5 * size
         inside = np.flatnonzero((off < [_BESIDE_PX, 0.5 * _BEYOND_LINES]).all(axis=1))
         return self.stars.take(inside), np.column_stack([sample, line])[inside]

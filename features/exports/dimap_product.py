@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.dimap_metadata import model_attitudes
 from boresight.pipeline.files.text_files import read_text
 from boresight.records.record import Floats
@@ -68,10 +68,8 @@ def _by_conjugate(rotation: Rotation) -> NDArray[np.float64]:
 
 def _numbers(element: Element | None, file: str) -> Floats:
     words = [] if element is None else (element.text or "").split()
-    try:
+    with refusing(file, "attitudes", "numbers", found=" ".join(words)[:64]):
         return np.array(words, dtype=float)
-    except ValueError as error:
-        raise RawDataError(file, "attitudes", " ".join(words)[:64], "numbers") from error
 
 
 def _set(element: Element | None, text: str) -> None:

@@ -239,10 +239,6 @@ def _each_image(request: ExportRequest, ending: str, text_of: Callable[[GroundPo
         yield f"{points.strip_id}.ccd{points.ccd}.{ending}", text_of(points, notes)
 
 
-def _geojson(request: ExportRequest) -> Made:
-    yield "targets.geojson", points_geojson(_ground_points(request), _notes(request))
-
-
 def _fits(request: ExportRequest) -> Made:
     calibrated = _opened(request)
     read_sightings(calibrated.folder, "stars", "exposure_id t_s hip xy_px u_s u_i cov_s")  # names damage
@@ -336,7 +332,7 @@ FORMATS: dict[str, Callable[[ExportRequest], Made]] = {
     "vrt": _vrt,
     "kml": _kml,
     "asp": partial(_each_image, ending="gcp", text_of=points_asp),
-    "geojson": _geojson,
+    "geojson": lambda of: iter([("targets.geojson", points_geojson(_ground_points(of), _notes(of)))]),
     "envi": lambda request: _each_image(request, "pts", partial(points_envi, geoid=egm96())),
     "qgis": partial(_each_image, ending="points", text_of=points_qgis),
     "fits": _fits,

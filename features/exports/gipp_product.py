@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.text_files import read_text
 
 __all__ = ["corrected_gipp"]
@@ -94,10 +94,8 @@ def _text(block: str, name: str, file: str) -> str:
 
 def _number(block: str, name: str, file: str) -> float:
     text = _text(block, name, file)
-    try:
+    with refusing(file, name, "a number", found=text[:64]):
         return float(text)
-    except ValueError as error:
-        raise RawDataError(file, name, text[:64], "a number") from error
 
 
 def _replaced(block: str, name: str, value: str) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump_schema import DumpFile
-from boresight.pipeline.files.text_files import read_json, read_toml
+from boresight.pipeline.files.text_files import json_if_there, read_toml
 from boresight.pipeline.results.identity import identity_of_result, saved_about
 from boresight.pipeline.results.ownership import dump_folder_of, origin_of
 from boresight.pipeline.results.reading import read_installation
@@ -58,7 +58,7 @@ def notes_of(result: Path, dump: Path | None, created: str, use: tuple[str, str]
         created=f"{created}Z",
         program=one_line(identity.program),
         mission=one_line(about.pop("mission", "") or _mission(result, dump)),
-        satellite=one_line(_satellite(result)),
+        satellite=one_line(str(json_if_there(result / "evidence" / "context.json").get("satellite") or "")),
         dump=one_line(UNKNOWN if origin is None else origin.dump),
         frames=FRAMES,
         valid=_valid(result),
@@ -76,11 +76,6 @@ def _mission(result: Path, dump: Path | None) -> str:
         return read_toml(noted / "dump.toml", DumpFile, "dump.toml").mission
     except RawDataError:
         return UNKNOWN
-
-
-def _satellite(result: Path) -> str:
-    path = result / "evidence" / "context.json"
-    return str(read_json(path).get("satellite") or "") if path.is_file() else ""
 
 
 def _valid(result: Path) -> str:

@@ -27,6 +27,7 @@ LEAST_DENOMINATOR = 0.3  # of 1 in the middle: below, a zero may lie between the
 # Points, and heights among them, at which the fitted RPC is compared with the rigorous model.
 CHECK_POINTS, CHECK_HEIGHTS = 1000, 40
 MARGIN_M = 100.0  # heights below and above the terrain for which an RPC is fitted
+POLYNOMIALS = ("LINE_NUM", "LINE_DEN", "SAMP_NUM", "SAMP_DEN")  # in GDAL's names
 
 
 @record(kw_only=True)
@@ -115,13 +116,7 @@ def rpc_text(rpc: Rpc, error: GroundError) -> str:
     rows = [f"ERR_BIAS: {error.bias_m:.4f} meters", f"ERR_RAND: {error.random_m:.4f} meters"]
     for what, values in (("OFF", rpc.offsets), ("SCALE", rpc.scales)):
         rows += [f"{name}_{what}: {value:+.17g} {unit}" for name, value, unit in zip(names, values, units)]
-    coefficients = (
-        ("LINE_NUM", rpc.line_num),
-        ("LINE_DEN", rpc.line_den),
-        ("SAMP_NUM", rpc.sample_num),
-        ("SAMP_DEN", rpc.sample_den),
-    )
-    for name, values in coefficients:
+    for name, values in zip(POLYNOMIALS, (rpc.line_num, rpc.line_den, rpc.sample_num, rpc.sample_den)):
         rows += [f"{name}_COEFF_{n}: {value:+.17e}" for n, value in enumerate(values, 1)]
     return "\n".join(rows) + "\n"
 
@@ -130,7 +125,7 @@ def rpc_metadata(rpc: Rpc, error: GroundError) -> dict[str, str]:
     """The RPC by GDAL's names of its metadata domain RPC."""
     rows = dict(line.split(": ", 1) for line in rpc_text(rpc, error).splitlines())
     values = {key: text.split(" ")[0] for key, text in rows.items() if "_COEFF_" not in key}
-    for name in ("LINE_NUM", "LINE_DEN", "SAMP_NUM", "SAMP_DEN"):
+    for name in POLYNOMIALS:
         values[f"{name}_COEFF"] = " ".join(rows[f"{name}_COEFF_{n}"] for n in range(1, 21))
     return values
 

@@ -132,10 +132,8 @@ def _noise_figure(found: HeadNoise) -> Figure:
         white = np.sqrt(fit.spectrum.white[0, n] / (times / signal.step_s)) / ARCSEC
         right.loglog(times, white, color=colour, lw=0.7, alpha=0.5)
         right.loglog(times, _model_allan(found, n, times) / ARCSEC, dash, color=colour, label=f"{name}, fit")
-    left.set_xlabel("frequency, Hz")
-    left.set_ylabel("spectral density, arcsec² / Hz")
-    right.set_xlabel("averaging time, s")
-    right.set_ylabel("Allan deviation of means, arcsec")
+    left.set(xlabel="frequency, Hz", ylabel="spectral density, arcsec² / Hz")
+    right.set(xlabel="averaging time, s", ylabel="Allan deviation of means, arcsec")
     for axes in (left, right):
         axes.legend(fontsize=8, frameon=False)
     what = " and ".join(found.names)
@@ -255,8 +253,7 @@ def write_heads(found: HeadsAlone, out: Path) -> tuple[Path, ...]:
         axes.set_title(
             f"{one.head} against {found.reference}, about the axes of {found.reference}", fontsize=9
         )
-        axes.set_ylabel("arcsec")
-        axes.set_xlabel("seconds since the dump's epoch")
+        axes.set(ylabel="arcsec", xlabel="seconds since the dump's epoch")
         axes.legend(fontsize=8, frameon=False, ncols=3)
     write_figure(files[1], figure)
     return files

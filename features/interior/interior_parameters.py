@@ -250,9 +250,7 @@ def _corrected(c: int, ccd: Ccd, knots: Floats, value: dict[str, float]) -> Ccd:
     far = np.abs(old[:, None] - knots).min(axis=1) > 0.1 * (knots[1] - knots[0]) if len(old) else old > 0
     samples = np.sort(np.concatenate([knots, old[far]]))
     # Offsets are real minus ideal: a point that lies further along has a smaller offset.
-    none = np.zeros(0)
-    plain = replace(ccd, distortion_samples=none, distortion_offsets_m=none, across_offsets_m=none)
-    shift = plain.focal_plane(samples) - ccd.focal_plane(samples)
+    shift = ccd.bare.focal_plane(samples) - ccd.focal_plane(samples)
     a, n = ccd.axis, ccd.normal
     pitch, scale, turn = ccd.pixel_m, value[f"scale/{c}"], value[f"rotation/{c}"]
     move = pitch * (value[f"shift_along/{c}"] * a + value[f"shift_across/{c}"] * n)

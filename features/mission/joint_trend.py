@@ -36,6 +36,7 @@ from boresight.pipeline import __version__
 from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_figure, write_json, write_text
 from boresight.pipeline.report.panels import INK, OURS, THIRD, legend_below, panels
+from boresight.pipeline.results.writing import rotation_json
 from boresight.records.record import record, scalar
 
 if TYPE_CHECKING:
@@ -63,12 +64,7 @@ def trend_of_dumps(out: Path, names: list[str]) -> str:
         "utc": [one.utc for one in saved],
         "moved": found.moved(FALSE_ALARM),
         "probability_false_alarm": FALSE_ALARM,
-        "merged": {
-            "R_cs": R_cs.as_matrix().tolist(),
-            "quaternion": R_cs.as_quat(canonical=True).tolist(),
-            "theta_rad": theta_between(R_cs, saved[0].R_cs0).tolist(),
-            "covariance_rad2": rest.covariance.tolist(),
-        },
+        "merged": rotation_json(R_cs, "R_cs", theta_between(R_cs, saved[0].R_cs0), rest.covariance),
         "constant": {"chi2": found.chi2, "dof": found.dof, "p_value": found.p_value},
         "step": step.content(series),
         "course": course.content(),

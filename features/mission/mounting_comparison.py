@@ -29,6 +29,7 @@ from boresight.geometry.installation import theta_between
 from boresight.pipeline import __version__
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.table_files import read_parquet
+from boresight.pipeline.files.text_tables import leaves
 from boresight.pipeline.report.page_template import template
 from boresight.pipeline.results.reading import read_mounting
 from boresight.records.record import Floats, array, record, scalar
@@ -173,7 +174,9 @@ class Comparison(Result):
 
 def compare_mountings(first: SavedMounting, second: SavedMounting, false_alarm: float = 0.01) -> Comparison:
     """The second result against the first."""
-    common = _common_strips(first, second)
+    t = [ORIGIN.seconds_from_utc(one.strips_utc.tolist()) for one in (first, second)]
+    same_instant = (np.abs(t[1][:, None] - t[0]) < SAME_INSTANT_S).any(axis=1)
+    common = [str(name) for name in second.strips[same_instant]]
     shares_camera = first.model == second.model
     theta = theta_between(second.R_cs, first.R_cs)
     covariance = _difference_covariance(first, second, common, shares_camera)
@@ -191,7 +194,7 @@ def compare_mountings(first: SavedMounting, second: SavedMounting, false_alarm: 
         covariance_s=R_sc @ covariance @ R_sc.T,
         chi2=float(np.sum(along**2 / values[own])),
         dof=int(own.sum()),
-        common_strips=tuple(second.strips[np.isin(second.strips, common)].tolist()),
+        common_strips=tuple(common),
         shares_camera=shares_camera,
         false_alarm=false_alarm,
         differing=tuple(_differing(first, second)),
@@ -221,30 +224,17 @@ def _of_strips(saved: SavedMounting, strips: list[str]) -> InformationPairs:
     return read_mounting(saved.folder, saved.id, scale, saved.of_several)
 
 
-def _common_strips(first: SavedMounting, second: SavedMounting) -> list[str]:
-    """Strips of the second result that show the same instant as one of the first."""
-    t = [ORIGIN.seconds_from_utc(one.strips_utc.tolist()) for one in (first, second)]
-    near = np.abs(t[1][:, None] - t[0]) < SAME_INSTANT_S
-    return [str(name) for name in second.strips[near.any(axis=1)]]
-
-
 def _differing(first: SavedMounting, second: SavedMounting) -> Iterator[Differing]:
     for name in STATED:
         if getattr(first, name) != getattr(second, name):
             yield Differing(name, str(getattr(first, name)), str(getattr(second, name)))
-    ours, theirs = (dict(_flat(one.facts)) | _inputs(one.folder) for one in (first, second))
+    ours, theirs = (
+        {key: value for key, value in leaves(one.facts) if value != {}} | _inputs(one.folder)
+        for one in (first, second)
+    )
     for key in dict.fromkeys([*ours, *theirs]):
         if ours.get(key) != theirs.get(key):
             yield Differing(key, str(ours.get(key, "")), str(theirs.get(key, "")))
-
-
-def _flat(values: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """The leaves of nested tables with their paths."""
-    if isinstance(values, dict):
-        for key, value in values.items():
-            yield from _flat(value, f"{path}.{key}" if path else str(key))
-    else:
-        yield path, values
 
 
 def _inputs(folder: Path) -> dict[str, str]:

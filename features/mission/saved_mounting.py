@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.information import InformationPairs
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.installation import deviation_from_theta
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import refusing
 from boresight.pipeline.files.table_files import column, list_values, read_parquet
-from boresight.pipeline.files.text_files import read_json
+from boresight.pipeline.files.text_files import json_if_there
 from boresight.pipeline.results.identity import identity_of_result, saved_about
 from boresight.pipeline.results.reading import matrix_in, of_camera, read_installation, read_mounting
 from boresight.pipeline.run.digests import rounded_digest
@@ -79,14 +79,12 @@ def read_saved_mounting(folder: Path, camera: str = "") -> SavedMounting:
     camera = camera if content.get("cameras") else ""
     R_cs, theta, covariance = matrix_in(content, camera, folder)
     identity, about = identity_of_result(folder), saved_about(folder)
-    context = _content(folder / "evidence" / "context.json")
+    context = json_if_there(folder / "evidence" / "context.json")
     path = folder / "sightings" / "passes.parquet"
     passes = read_parquet(path)
     utc = passes.column("utc_middle").to_pylist()  # none of a result from vectors
-    try:
+    with refusing(str(path), "utc_middle", "UTC times of strips"):
         t_s = float(np.mean(ORIGIN.seconds_from_utc(utc))) if utc else np.nan
-    except ValueError as error:
-        raise RawDataError(str(path), "utc_middle", str(error), "UTC times of strips") from error
     u = column(passes, "argument_of_latitude_rad")
     settings = content.get("settings", {}).get("calibration", {})
     cameras = sorted(set(passes.column("camera").to_pylist()))
@@ -122,15 +120,11 @@ def read_saved_mounting(folder: Path, camera: str = "") -> SavedMounting:
             "program": identity.program,
             "dump": identity.dump,
             "inputs": identity.inputs,
-            "packages": _content(folder / "run.json").get("packages", {}),
+            "packages": json_if_there(folder / "run.json").get("packages", {}),
             "settings": content.get("settings", {}),
         },
         of_several=camera,
     )
-
-
-def _content(path: Path) -> dict[str, Any]:
-    return read_json(path) if path.is_file() else {}
 
 
 def _temperature_c(folder: Path) -> float:

@@ -11,7 +11,7 @@ import rasterio
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.terrain import ConstantHeight
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.content import check_extent
 from boresight.pipeline.files.dimap_metadata import DimapStrip
 from boresight.pipeline.files.dump_schema import PixelRow
@@ -58,10 +58,8 @@ def dimap_grid_differences(strip: DimapStrip, grid: Path) -> list[tuple[float, f
         if not names or any(name not in tags for name in names):
             raise RawDataError(grid.name, "tags", f"{count} bands", "a location grid with ALTITUDE_B0, ...")
         check_extent(grid.name, "bands", (raster.width, raster.height, count), MAX_VALUES, "values")
-        try:
+        with refusing(grid.name, "bands", "pixels that decode", rasterio.errors.RasterioError):
             bands = raster.read()
-        except rasterio.errors.RasterioError as error:
-            raise RawDataError(grid.name, "bands", str(error), "pixels that decode") from error
     row, column = (axis.ravel() for axis in np.indices(bands.shape[1:]))
     sample, line = t.a * column + t.c - 0.5, t.e * row + t.f - 0.5  # (0.5, 0.5) is the first pixel's centre
     for axis, at, size in (("columns", sample, strip.width_px), ("lines", line, strip.height_px)):

@@ -19,7 +19,7 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 from xml.etree.ElementTree import Element
 
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.content import check_extent, limited_content
 from boresight.pipeline.files.text_files import unpacked
 from boresight.pipeline.files.xml_files import xml_of_bytes
@@ -84,16 +84,12 @@ def gipp_root(gipp: GippFile, stem: str, depth: int = 0) -> Element:
     """
     raw = unpacked(gipp.content(), gipp.file, MAX_BYTES)
     if not _is_archive(raw):
-        return _data(xml_of_bytes(raw, gipp.file))
+        root = xml_of_bytes(raw, gipp.file)  # the document, or an Earth Explorer file with it
+        return next((one for one in root.iterfind("Data_Block/*") if one.find("DATA") is not None), root)
     members = _members(raw, gipp.file, re.escape(stem))
     if stem not in members or depth == MAX_DEPTH:
         raise RawDataError(gipp.file, "members", "no such document", f"{stem}.DBL, .xml or .EOF")
     return gipp_root(members[stem], stem, depth + 1)
-
-
-def _data(root: Element) -> Element:
-    """The document itself, or that in the Data_Block of an Earth Explorer file."""
-    return next((one for one in root.iterfind("Data_Block/*") if one.find("DATA") is not None), root)
 
 
 def _wanted(files: list[str], stem: str) -> dict[str, str]:
@@ -117,10 +113,8 @@ def _members(raw: bytes, file: str, stem: str) -> dict[str, GippFile]:
     if not _is_archive(raw):
         expected = "a folder of GIPP files, or an archive of them: ZIP, or tar, plain or with gzip"
         raise RawDataError(file, "byte 257", "no tar archive", expected)
-    try:
+    with refusing(file, "archive", "a whole archive, without a password", DAMAGE):
         wanted = _of_zip(raw, file, stem) if raw.startswith(ZIP) else _of_tar(raw, file, stem)
-    except DAMAGE as error:
-        raise RawDataError(file, "archive", str(error), "a whole archive, without a password") from error
     return {
         own: GippFile(f"{file}: {PurePosixPath(name).name}", partial(bytes, content))
         for own, (name, content) in wanted.items()

@@ -16,7 +16,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from boresight.geometry.constants import WGS84
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.content import check_extent, check_regular
 from boresight.pipeline.files.dump_schema import PointRow
 from boresight.pipeline.files.text_files import check_number, read_text
@@ -107,19 +107,14 @@ def _points(
 
 def _to_degrees(crs: str | None, file: str) -> Transformer:
     known = _crs(crs or "EPSG:4326", file, "CRS")
-    try:
+    with refusing(file, "CRS", "a system with a transformation to WGS 84", ProjError, found=known.name[:80]):
         return Transformer.from_crs(known, "EPSG:4326", always_xy=True)
-    except ProjError as error:
-        raise RawDataError(
-            file, "CRS", known.name[:80], "a system with a transformation to WGS 84"
-        ) from error
 
 
 def _crs(text: str, file: str, field: str) -> CRS:
-    try:
+    expected = "a coordinate reference system that PROJ knows"
+    with refusing(file, field, expected, (CRSError, ProjError, TypeError), found=text[:80]):
         return CRS.from_user_input(text)
-    except (CRSError, ProjError, TypeError) as error:
-        raise RawDataError(file, field, text[:80], "a coordinate reference system that PROJ knows") from error
 
 
 def _qgis(path: Path, file: str, errors: PointErrors, image: str | None) -> MeasuredPoints:
@@ -132,7 +127,7 @@ def _qgis(path: Path, file: str, errors: PointErrors, image: str | None) -> Meas
     table = csv.DictReader(line for _, line in numbered)
     columns = {"x": ("sourceX", "pixelX"), "y": ("sourceY", "pixelY"), "X": ("mapX",), "Y": ("mapY",)}
     rows, disabled = [], 0
-    try:
+    with refusing(file, "text", "comma-separated values", csv.Error):
         for n, row in enumerate(table, start=1):
             if (row.get("enable") or "1").strip() == "0":
                 disabled += 1
@@ -150,8 +145,6 @@ def _qgis(path: Path, file: str, errors: PointErrors, image: str | None) -> Meas
             lon, lat = to_degrees.transform(number["X"], number["Y"])
             place = (number["x"] - CORNER, -number["y"] - CORNER, lat, lon, errors.height_m)
             rows.append((f"p{n:05d}", place))
-    except csv.Error as error:
-        raise RawDataError(file, "text", str(error), "comma-separated values") from error
     return _points(rows, file, errors, disabled)
 
 
@@ -205,12 +198,11 @@ def _words(text: str) -> Iterator[tuple[str, list[str]]]:
 
 
 def _geotiff(path: Path, file: str, errors: PointErrors, image: str | None) -> MeasuredPoints:
-    check_regular(path, file, "a GeoTIFF with ground control points")
-    try:
+    expected = "a GeoTIFF with ground control points"
+    check_regular(path, file, expected)
+    with refusing(file, "file", expected, (rasterio.errors.RasterioError, OSError, ValueError)):
         with rasterio.open(path, driver="GTiff") as opened:
             gcps, crs = opened.gcps
-    except (rasterio.errors.RasterioError, OSError, ValueError) as error:
-        raise RawDataError(file, "file", str(error), "a GeoTIFF with ground control points") from error
     check_extent(file, "points", (len(gcps),), MOST_POINTS, "points")
     to_degrees = _to_degrees(None if crs is None else crs.to_wkt(), file)
     rows = []

@@ -57,10 +57,7 @@ class GridRow(BaseModel):
 
 def read_grid_rows(path: Path) -> list[GridRow]:
     """The rows of an operator's location grid in CSV; `RawDataError` names line and column."""
-    rows = read_table(path, GridRow, str(path))
-    if not rows:
-        raise RawDataError(str(path), "rows", "none", "pixels with their places")
-    return rows
+    return read_table(path, GridRow, str(path), "pixels with their places")
 
 
 def sentinel2_grid_differences(

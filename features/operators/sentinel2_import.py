@@ -20,12 +20,10 @@ from boresight.features.operators.sentinel2_grid import operator_orbit, refined_
 from boresight.features.operators.sentinel2_product import Sentinel2
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import EarthOrientationTable
-from boresight.records.record import Floats
 
-__all__ = ["CORRECTED", "REFINED", "AttitudeLevel", "sentinel2_mission"]
+__all__ = ["AttitudeLevel", "sentinel2_mission"]
 
 AttitudeLevel = Literal["raw", "corrected", "refined"]
-CORRECTED, REFINED = "CORRECTED", "REFINED"  # names of the heads of the operator's attitudes
 AXIS_LENGTH, WALK_ARCSEC = 0.01, 0.2  # of a gyro's axis, off by at most; noise of one at most
 BIAS_WALK_ARCSEC_S, WHITE_ARCSEC = 1e-3, 1e-3  # assumed: a record of 90 s shows none; one count
 SIGMA_INSTALLATION_ARCSEC = 20.0  # SPAMOD has moved by 5 arc-seconds in six years
@@ -58,14 +56,15 @@ def sentinel2_mission(
     cameras = [refined_camera(band) if attitudes == "refined" else band.camera for band in bands]
     ids = [band.band if len(bands) > 1 else "" for band in bands]
     if attitudes == "corrected":
-        found = {CORRECTED: (strip.corrected, strip.R_cp)}
+        found = {"CORRECTED": (strip.corrected, strip.R_cp)}
     elif attitudes == "refined":
-        found = {REFINED: (refined_attitudes(strip), strip.R_cp)}
+        found = {"REFINED": (refined_attitudes(strip), strip.R_cp)}
     else:
         found = {name: (record, strip.R_cp * strip.R_ps[name]) for name, record in strip.trackers.items()}
     heads_of = []
     for name, (record, R_cs0) in found.items():
-        inside = _inside(record.t_s, orbit.span_s)
+        first, last = np.searchsorted(record.t_s, orbit.span_s)  # attitudes outlast the ephemeris
+        inside = slice(int(first), int(last))
         t_s, R_is = record.t_s[inside], record.R_is[inside]
         heads_of.append(
             ImportedHead(
@@ -135,9 +134,3 @@ def _gyro(strip: Sentinel2, R_ps: Rotation) -> ImportedGyro | None:
         bias_walk_rad_s=BIAS_WALK_ARCSEC_S * ARCSEC,
         white_rad=WHITE_ARCSEC * ARCSEC,
     )
-
-
-def _inside(t_s: Floats, span_s: tuple[float, float]) -> slice:
-    """Rows within a span: the operator's attitudes outlast the ephemeris."""
-    first, last = np.searchsorted(t_s, span_s)
-    return slice(int(first), int(last))

@@ -30,7 +30,7 @@ from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.earth_rotation import rotation_to_gcrs
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.line_camera import LookAngleCamera, LookTable
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.xml_files import elements_of, numbers_of, read_xml, text_of, whole_of
 from boresight.records.record import Floats, array, record, scalar
 
@@ -233,14 +233,10 @@ def _camera(root: Element, tdi: str, detectors: int, file: str) -> LookAngleCame
             raise RawDataError(file, "detector_id", str(one.get("detector_id"))[:64], f"{n + 1:02d}")
         n_px = whole_of(one, "NB_OF_PIXELS", file, 65_536)
         psi_x, psi_y = (np.array(numbers_of(one, f"TAN_PSI_{a}_LIST", file, n_px)) for a in "XY")
-        try:
+        with refusing(file, f"detector {n + 1:02d}", "looks along a line"):
             ccds.append(LookTable(n_px, np.arange(n_px, dtype=float), psi_y, -psi_x))
-        except ValueError as error:
-            raise RawDataError(file, f"detector {n + 1:02d}", str(error), "looks along a line") from error
-    try:
+    with refusing(file, "VIEWING_DIRECTIONS", "looks along a line"):  # looks that run to and fro
         return LookAngleCamera(tuple(ccds))
-    except ValueError as error:  # looks that run to and fro
-        raise RawDataError(file, "VIEWING_DIRECTIONS", str(error), "looks along a line") from error
 
 
 def _lines(root: Element, pixel_m: float, file: str) -> int:
@@ -255,10 +251,8 @@ def _lines(root: Element, pixel_m: float, file: str) -> int:
 def _gps_seconds(elements: list[Element], epoch: Epoch, file: str) -> Floats:
     """TAI seconds since the epoch of the GPS_TIME of each element."""
     texts = [text_of(element, "GPS_TIME", file) for element in elements]
-    try:
+    with refusing(file, "GPS_TIME", "a date in GPS time"):
         return epoch.seconds_from_gps_dates(texts)
-    except ValueError as error:
-        raise RawDataError(file, "GPS_TIME", str(error), "a date in GPS time") from error
 
 
 def _ephemeris(root: Element, epoch: Epoch, file: str) -> tuple[Floats, Floats, Floats, float]:
@@ -312,13 +306,10 @@ def _increasing(t_s: Floats, where: str, file: str) -> Floats:
 
 def _tracker_mounting(model: Element, name: str, file: str) -> Rotation:
     where = f"DATA/GSE/{name}_ATT_QUATERNION"
-    vector, scalar_part = (numbers_of(model, f"{where}/{part}", file, n) for part, n in _QUATERNION)
-    if abs(np.linalg.norm([*vector, *scalar_part]) - 1.0) > 1e-6:
+    xyzw = [*numbers_of(model, f"{where}/VECTOR", file, 3), *numbers_of(model, f"{where}/SCALAR", file, 1)]
+    if abs(np.linalg.norm(xyzw) - 1.0) > 1e-6:
         raise RawDataError(file, where, "another length", "a quaternion of length 1")
-    return Rotation.from_quat([*vector, *scalar_part])
-
-
-_QUATERNION = (("VECTOR", 3), ("SCALAR", 1))  # elements of a quaternion and how many numbers each holds
+    return Rotation.from_quat(xyzw)
 
 
 def _mounting_angles(model: Element, file: str) -> Floats:
@@ -331,13 +322,10 @@ def _mounting_angles(model: Element, file: str) -> Floats:
     where = "DATA/PILOTING_TO_MSI_FRAME"
     if numbers_of(model, f"{where}/SCALE_FACTOR", file, 1) != [1.0]:
         raise RawDataError(file, f"{where}/SCALE_FACTOR", "another value", "1")
-    angles = [numbers_of(model, f"{where}/R{k}[@axis='{axis}']", file, 1)[0] for k, axis in _AXES]
+    angles = [numbers_of(model, f"{where}/R{k}[@axis='{a}']", file, 1)[0] for k, a in enumerate("XYZ", 1)]
     if max(map(abs, angles)) > 1e3:
         raise RawDataError(file, where, angles, "angles in mrad")
     return 1e-3 * np.array(angles)
-
-
-_AXES = ((1, "X"), (2, "Y"), (3, "Z"))  # number and axis of each rotation from piloting frame to instrument
 
 
 def _refining(root: Element, t_middle_s: float, file: str) -> Refining | None:

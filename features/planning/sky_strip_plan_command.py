@@ -13,7 +13,7 @@ from boresight.features.planning.scan_plan import ScanCameras, ScanSettings, cho
 from boresight.pipeline.console.arguments import DumpArgument
 from boresight.pipeline.console.messages import Answer
 from boresight.pipeline.console.progress import progress_bars
-from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+from boresight.pipeline.errors import DataNotSufficientError, refusing
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.star_tables import survey_of
@@ -44,10 +44,8 @@ def sky_strip_plan_command(
     Example: boresight sky-strip-plan dump --scans 2 --hours 12 --out scans
     """
     opened = open_dump(dump.resolve())
-    try:
+    with refusing("--utc", "value", "a time such as 2026-11-22T18:00:00Z", found=utc):
         start = opened.orbit.span_s[0] if utc is None else float(opened.epoch.seconds_from_utc([utc])[0])
-    except ValueError as error:
-        raise RawDataError("--utc", "value", utc, "a time such as 2026-11-22T18:00:00Z") from error
     asked = ScanSettings(
         count=scans,
         candidates=max(candidates, scans),

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -16,6 +16,7 @@ from boresight.pipeline.console.messages import Answer, wrong_usage
 from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.files.dump_writer import Rendered, write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
+from boresight.pipeline.files.text_tables import leaves
 from boresight.pipeline.files.whole_file import is_vacant
 from boresight.pipeline.run.executor import FORKS, executor_for
 from boresight.simulator.scenario import (
@@ -83,16 +84,8 @@ def _settings_of(context: typer.Context, incomplete: str) -> list[str]:
     name = first_argument(context, "scenario")
     if name is None or name not in builtin_scenario_names():
         return []
-    values = scenario_to_dict(builtin_scenario(name))
-    return [word for word in sorted(_single_values(values)) if word.startswith(incomplete)]
-
-
-def _single_values(table: dict[str, Any], path: str = "") -> Iterator[str]:
-    """The numbers, words and truth values of nested tables."""
-    for key, value in table.items():
-        if isinstance(value, dict):
-            yield from _single_values(value, f"{path}{key}.")
-        elif isinstance(value, str) and path + key != "name":
-            yield f"{path}{key}={value}"
-        elif isinstance(value, (bool, int, float)):
-            yield f"{path}{key}={json.dumps(value)}"
+    words = []
+    for key, value in leaves(scenario_to_dict(builtin_scenario(name))):
+        if isinstance(value, (str, bool, int, float)) and key != "name":
+            words.append(f"{key}={value if isinstance(value, str) else json.dumps(value)}")
+    return sorted(word for word in words if word.startswith(incomplete))

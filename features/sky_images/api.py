@@ -6,7 +6,7 @@ import datetime
 import os
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -93,27 +93,23 @@ class Stars(Result):
     size_px: tuple[int, int] = scalar("width and height of the image, px")
     masked: int = scalar("pixels without a number: they have no weight")
     pixels: NDArray[Any] | None = scalar("grey values (H, W); None: not given", default=None, repr=False)
-    xy_px: ClassVar[inner[Floats]] = inner(
+    xy_px = inner[Floats](
         "star_list.xy_px", "(N, 2) centroids (column, row); (0, 0) is the centre of the first pixel"
     )
-    cov_px: ClassVar[inner[Floats]] = inner("star_list.cov_px", "(N, 2, 2) covariance of the centroids, px²")
-    flux_dn: ClassVar[inner[Floats]] = inner("star_list.flux_dn", "(N,) total above the background, DN")
-    snr: ClassVar[inner[Floats]] = inner(
-        "star_list.snr", "(N,) flux over the error that the background alone causes"
-    )
-    saturated: ClassVar[inner[Bools]] = inner("star_list.saturated", "(N,) some pixel is full")
-    blended: ClassVar[inner[Bools]] = inner(
+    cov_px = inner[Floats]("star_list.cov_px", "(N, 2, 2) covariance of the centroids, px²")
+    flux_dn = inner[Floats]("star_list.flux_dn", "(N,) total above the background, DN")
+    snr = inner[Floats]("star_list.snr", "(N,) flux over the error that the background alone causes")
+    saturated = inner[Bools]("star_list.saturated", "(N,) some pixel is full")
+    blended = inner[Bools](
         "star_list.blended", "(N,) displaced by a neighbour or by blooming: not for calibration"
     )
-    psf_sigma_px: ClassVar[inner[float]] = inner(
-        "star_list.psf.sigma_px", "width of the point spread function, px, 1 sigma"
-    )
-    misshapen_px: ClassVar[inner[Floats]] = inner(
+    psf_sigma_px = inner[float]("star_list.psf.sigma_px", "width of the point spread function, px, 1 sigma")
+    misshapen_px = inner[Floats](
         "star_list.misshapen_px",
         "(M, 2) detections that are not among the stars: cosmic rays, trails, stars that touch one another",
     )
-    hot_pixels: ClassVar[inner[int]] = inner("star_list.hot_pixels", "detections rejected as hot pixels")
-    saturation_dn: ClassVar[inner[float]] = inner(
+    hot_pixels = inner[int]("star_list.hot_pixels", "detections rejected as hot pixels")
+    saturation_dn = inner[float](
         "star_list.saturation_dn", "value from which a pixel is full; inf: not known, no star is saturated"
     )
 
@@ -229,22 +225,18 @@ class StarSolution(SuccessfulResult):
     )
     stars: Stars = scalar("all stars found in the image, identified or not")
     observer: Observer | None = scalar("time and place, where given: aberration is removed", repr=False)
-    R_si: ClassVar[inner[Rotation]] = inner("field.R_si", "attitude: GCRS to star-camera frame s")
-    hip: ClassVar[inner[Ints]] = inner("field.hip", "(M,) Hipparcos numbers of the identified stars")
-    xy_px: ClassVar[inner[Floats]] = inner("field.xy_px", "(M, 2) their centroids (column, row)")
-    residual_px: ClassVar[inner[Floats]] = inner(
-        "field.residual_px", "(M, 2) measured minus predicted centroids"
-    )
-    false_alarm_probability: ClassVar[inner[float]] = inner(
+    R_si = inner[Rotation]("field.R_si", "attitude: GCRS to star-camera frame s")
+    hip = inner[Ints]("field.hip", "(M,) Hipparcos numbers of the identified stars")
+    xy_px = inner[Floats]("field.xy_px", "(M, 2) their centroids (column, row)")
+    residual_px = inner[Floats]("field.residual_px", "(M, 2) measured minus predicted centroids")
+    false_alarm_probability = inner[float](
         "field.false_alarm_probability", "upper bound of the probability that the identification is wrong"
     )
-    camera: ClassVar[inner[StarCamera]] = inner(
-        "field.camera", "the camera as given, or as fitted to this image"
-    )
-    misfit_px: ClassVar[inner[float]] = inner(
+    camera = inner[StarCamera]("field.camera", "the camera as given, or as fitted to this image")
+    misfit_px = inner[float](
         "field.misfit_px", "rms displacement of stars from the camera, an axis, px; 0: none seen"
     )
-    mirrored: ClassVar[inner[bool]] = inner(
+    mirrored = inner[bool](
         "field.mirrored", "whether the image is a mirror image: all is stated for its columns reversed"
     )
 
@@ -409,14 +401,10 @@ class CameraSolution(SuccessfulResult):
     """A star camera calibrated by the stars of several images."""
 
     fit: CameraCalibration = scalar("residuals, full covariance and attitudes (boresight.star_id)")
-    camera: ClassVar[inner[StarCamera]] = inner("fit.camera", "focal length, principal point and distortion")
-    rms_px: ClassVar[inner[float]] = inner("fit.rms_px", "root mean square residual along one axis, px")
-    images_used: ClassVar[inner[tuple[str, ...]]] = inner(
-        "fit.frames_used", "names of the images that were identified"
-    )
-    images_rejected: ClassVar[inner[tuple[tuple[str, str], ...]]] = inner(
-        "fit.frames_refused", "the others, (name, reason)"
-    )
+    camera = inner[StarCamera]("fit.camera", "focal length, principal point and distortion")
+    rms_px = inner[float]("fit.rms_px", "root mean square residual along one axis, px")
+    images_used = inner[tuple[str, ...]]("fit.frames_used", "names of the images that were identified")
+    images_rejected = inner[tuple[tuple[str, str], ...]]("fit.frames_refused", "the others, (name, reason)")
 
     @property
     def sigma_focal_px(self) -> float:
@@ -686,7 +674,9 @@ def calibrate_star_camera(
     given = [images] if isinstance(images, Stars) else listed(images, "images", "arrays, paths or Stars")
     if not given:
         raise wrong("images", "none", "at least one")
-    utc = None if times is None else [utc_of(time, "times") for time in _times_of(times)]
+    if isinstance(times, str | datetime.datetime | np.datetime64) or getattr(times, "isscalar", False):
+        times = [times]  # type: ignore[list-item]
+    utc = None if times is None else [utc_of(time, "times") for time in listed(times, "times", "times")]
     if utc is not None and len(utc) != len(given):
         raise ValueError(f"{len(utc)} times given for {len(given)} images")
     names = [
@@ -720,13 +710,6 @@ def calibrate_star_camera(
 def image_pixels(image: ImageLike, name: str) -> NDArray[Any]:
     """Grey values (H, W) of a file or an array, as `find_stars` takes them; `name` is the argument's."""
     return _pixels(image, name).pixels
-
-
-def _times_of(times: Iterable[TimeLike] | TimeLike) -> list[Any]:
-    """Times one by one; a text or a datetime is one, an astropy Time may be several."""
-    if isinstance(times, str | datetime.datetime | np.datetime64) or getattr(times, "isscalar", False):
-        return [times]
-    return listed(times, "times", "times")
 
 
 def _pixels(image: object, name: str) -> _Pixels:

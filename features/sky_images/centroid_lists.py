@@ -15,7 +15,7 @@ from boresight.records.record import Floats
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.star_list import StarList
 
-__all__ = ["UNSTATED_PX", "are_centroids", "star_list_of"]
+__all__ = ["are_centroids", "star_list_of"]
 
 # Error of a centroid, px, 1 sigma an axis, where none is stated: of faint stars, and of programs that take
 # the centre of light (set by hand).

@@ -13,7 +13,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from boresight.features.sky_images.score import CentroidScore, score_centroids
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.images.star_images import read_star_image
 from boresight.pipeline.files.text_files import read_text
 from boresight.pipeline.files.text_tables import table_csv
@@ -109,8 +109,7 @@ def draw_score(score: CentroidScore, path: Path) -> None:
     middle = np.sqrt(score.snr_edges[:-1] * np.minimum(score.snr_edges[1:], 2.0 * score.snr_edges[:-1]))
     left.loglog(middle, score.rms_px, "o", color=SERIES[0][0], label="rms error, one axis")
     left.loglog(middle, score.bound_px, "-", color=SERIES[1][0], label="Cramér-Rao bound")
-    left.set_xlabel("signal-to-noise ratio")
-    left.set_ylabel("px")
+    left.set(xlabel="signal-to-noise ratio", ylabel="px")
     left.legend(fontsize=8, frameon=False)
     phases = len(score.phase_bias_px)
     phase = (np.arange(phases) + 0.5) / phases - 0.5
@@ -118,8 +117,7 @@ def draw_score(score: CentroidScore, path: Path) -> None:
         bias, error = score.phase_bias_px[:, axis], score.phase_error_px[:, axis]
         right.errorbar(phase, bias, error, fmt=marker, color=colour, label=name)
     right.axhline(0.0, color=GREY, lw=0.8)
-    right.set_xlabel("pixel phase, px")
-    right.set_ylabel("mean error, px")
+    right.set(xlabel="pixel phase, px", ylabel="mean error, px")
     right.legend(fontsize=8, frameon=False)
     write_figure(path, figure)
 
@@ -144,10 +142,8 @@ def _table(path: Path, stars: StarList) -> pd.DataFrame:
 
 def _read_truth(path: Path) -> pd.DataFrame:
     text = read_text(path, str(path))
-    try:
+    with refusing(str(path), "file", "a CSV file with x_px, y_px, flux_dn", (ValueError, OverflowError)):
         table = pd.read_csv(io.StringIO(text))
-    except (ValueError, OverflowError) as error:
-        raise RawDataError(str(path), "file", str(error), "a CSV file with x_px, y_px, flux_dn") from error
     for column in ("x_px", "y_px", "flux_dn"):
         if column not in table or not pd.api.types.is_numeric_dtype(table[column]):
             found = ", ".join(map(str, table.columns[:20]))

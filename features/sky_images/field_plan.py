@@ -25,7 +25,7 @@ from boresight.features.sky_images.identify_images import read_camera, read_sky_
 from boresight.features.sky_images.sky_plan import SkyPlan, StarImageModel, plan_pointings
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, LIMIT_MISSED
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_figure, write_text
 from boresight.pipeline.report.panels import GREY, INK, OURS, THIRD, panels
@@ -235,10 +235,8 @@ def _wanted(plan: SkyPlan, wanted_px: float) -> tuple[str, bool]:
 def _away_from_the_sun(
     camera: StarCamera, candidates: Rotation, utc: str, least_deg: float
 ) -> tuple[Rotation, str]:
-    try:
+    with refusing("--utc", "value", "a time such as 2026-11-22T00:00:00Z", found=utc):
         sun = get_sun(Time(utc.removesuffix("Z"), scale="utc", format="isot")).cartesian.xyz.value
-    except ValueError as error:
-        raise RawDataError("--utc", "value", utc, "a time such as 2026-11-22T00:00:00Z") from error
     middles = candidates.inv().apply(camera.middle_axes()[:, 2])
     angle = np.degrees(np.arccos(np.clip(middles @ (sun / np.linalg.norm(sun)), -1.0, 1.0)))
     away = angle >= least_deg

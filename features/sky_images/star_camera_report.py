@@ -298,9 +298,7 @@ def _draw(result: CameraCalibration, cells: ResidualMap, path: Path) -> None:
     axes.add_patch(
         Rectangle((0, 0), camera.width_px, camera.height_px, fill=False, edgecolor=GREY, linewidth=0.8)
     )
-    axes.set_aspect("equal")
-    axes.set_xlabel("column, px")
-    axes.set_ylabel("row, px")
+    axes.set(aspect="equal", xlabel="column, px", ylabel="row, px")
     title = f"mean residuals, 1 sigma grey; rms of all stars {result.rms_px:.4f} px"
     axes.set_title(title, loc="left", fontsize=10)
     write_figure(path, figure)

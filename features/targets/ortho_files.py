@@ -24,7 +24,7 @@ from rasterio.windows import Window
 
 from boresight.geometry.geoid import egm96
 from boresight.geometry.terrain import Surface, TerrainGrid
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.content import check_extent
 from boresight.pipeline.files.images.image_file import open_image
 from boresight.pipeline.files.images.tiff import open_tiff
@@ -204,10 +204,8 @@ def read_heights(paths: list[Path], kind: str) -> HeightModel:
         whole = file.window(0, 0, columns, rows)
         if np.isnan(whole.values).all():
             raise RawDataError(str(path), "pixels", "none that is valid", "at least one valid pixel")
-        try:
+        with refusing(str(path), "heights", "a grid of heights"):
             grids.append(TerrainGrid.from_raster(whole.values, file.transform, file.crs, None))
-        except ValueError as error:
-            raise RawDataError(str(path), "heights", str(error), "a grid of heights") from error
     return HeightModel(tuple(grids), kind, tuple(map(str, paths)))
 
 
@@ -262,9 +260,7 @@ def _map_of(image: Any, file: str) -> tuple[Transform, str]:
     if image.crs is None or image.transform.is_identity or image.transform.determinant == 0:
         expected = "a raster with coordinate reference system and affine transform"
         raise RawDataError(file, "map", "none", expected)
-    try:
+    with refusing(file, "coordinate reference system", "a known one", ProjError, found="unknown to PROJ"):
         CRS.from_wkt(crs := image.crs.to_wkt())
-    except ProjError as error:
-        raise RawDataError(file, "coordinate reference system", "unknown to PROJ", "a known one") from error
     a, b, c, d, e, f = (float(v) for v in tuple(image.transform)[:6])
     return (a, b, c, d, e, f), crs

@@ -99,13 +99,9 @@ def _kernel(fraction: float) -> Image:
     return (taps / taps.sum()).astype(np.float32)
 
 
-def _slope() -> Image:
-    """Derivative of the windowed sinc at the taps, scaled to be exact for a ramp."""
-    taps = -np.where(_TAP % 2, -1.0, 1.0) * np.sinc(_TAP / (_REACH + 0.5)) / np.where(_TAP, _TAP, np.inf)
-    return (taps / np.sum(taps * _TAP)).astype(np.float32)
-
-
-_SLOPE = _slope()  # weights of the taps that give the slope of a picture
+# Weights of the taps that give the slope of a picture: derivative of the windowed sinc, exact for a ramp.
+_SLOPE = -np.where(_TAP % 2, -1.0, 1.0) * np.sinc(_TAP / (_REACH + 0.5)) / np.where(_TAP, _TAP, np.inf)
+_SLOPE = (_SLOPE / np.sum(_SLOPE * _TAP)).astype(np.float32)
 
 
 def _cut(picture: Image, x: int, y: int, w: int, h: int) -> Image:

@@ -7,7 +7,7 @@ import shlex
 import sys
 import time
 import warnings
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib import metadata
@@ -34,6 +34,7 @@ from boresight.pipeline.console.arguments import (
     SettingsFile,
     StaleEop,
 )
+from boresight.pipeline.console.feature import hooks_of
 from boresight.pipeline.console.messages import (
     DONE,
     LIMIT_MISSED,
@@ -46,7 +47,6 @@ from boresight.pipeline.console.messages import (
     say,
     wrong_usage,
 )
-from boresight.pipeline.console.program import function_at
 from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.results.requirement import Requirement
 from boresight.pipeline.run.executor import executor_for
@@ -126,10 +126,10 @@ def calibrate_command(
         overwrite=overwrite,
         requirement=Requirement(require_arcsec, require_m),
         about=about,
-        after_joint=_functions(context, "after_joint") if len(dumps) > 1 else (),
+        after_joint=hooks_of(context.obj, "after_joint") if len(dumps) > 1 else (),
         facts={"workers": workers, "scheduler": scheduler} | _machine(),
     )
-    to_archive = () if archive is None else _functions(context, "to_archive")
+    to_archive = () if archive is None else hooks_of(context.obj, "to_archive")
     if archive is not None and not to_archive:
         raise wrong_usage("--archive: this installation has no feature that keeps an archive")
     with _warnings_reported():
@@ -154,11 +154,6 @@ def calibrate_command(
         files=files,
         exit_status=_exit_status(outcome, accept or ()),
     )
-
-
-def _functions(context: typer.Context, hook: str) -> tuple[Callable[..., str], ...]:
-    """What the features of the program have under one of the fields of `Feature` for functions."""
-    return tuple(function_at(place) for feature in context.obj if (place := getattr(feature, hook)))
 
 
 def _gravest(outcome: RunOutcome) -> str:
@@ -194,8 +189,7 @@ def _machine() -> dict[str, object]:
 @contextmanager
 def _warnings_reported() -> Iterator[None]:
     """Warnings of the library as one line each on stderr."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         yield
     for text in dict.fromkeys(str(warning.message) for warning in caught):
         log.warning("warning: %s", text)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from enum import StrEnum
+from importlib import import_module
+from typing import Any
 
-__all__ = ["Command", "Feature", "Job"]
+__all__ = ["Command", "Feature", "Job", "function_at", "hooks_of"]
 
 
 class Job(StrEnum):
@@ -46,3 +49,14 @@ class Feature:
         """Place of a command below `boresight`, "module:function"."""
         function = f"{re.sub('[ -]', '_', command.name)}_command"
         return f"{self.folder}.{command.module or function}:{function}"
+
+
+def hooks_of(features: Iterable[Feature], hook: str) -> tuple[Callable[..., str], ...]:
+    """What features have under one of the fields of `Feature` for functions."""
+    return tuple(function_at(place) for feature in features if (place := getattr(feature, hook)))
+
+
+def function_at(place: str) -> Any:
+    """The function at "module:function" below `boresight`."""
+    module, _, name = place.partition(":")
+    return getattr(import_module(f"boresight.{module}"), name)

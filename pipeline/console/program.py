@@ -6,19 +6,18 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from boresight.pipeline.console.feature import Command, Feature, Job
+from boresight.pipeline.console.feature import Command, Feature, Job, function_at
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, log, print_data, with_messages
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError, WorkerError, printable
 from boresight.version import version_text
 
-__all__ = ["SPINE", "errors_reported", "function_at", "program"]
+__all__ = ["SPINE", "errors_reported", "program"]
 
 HELP = ["--help", "-h"]  # the first is what an error refers to
 NO_THREAD = "can't start new thread"  # what Python says
@@ -55,12 +54,6 @@ def program(features: Iterable[Feature], words: Sequence[str] | None = None) -> 
             place = feature.place_of(command) if words is None or _named(command, words) else ""
             _add(groups.get(group, app), name, command, place)
     return app
-
-
-def function_at(place: str) -> Any:
-    """The function at "module:function" below `boresight`."""
-    module, _, name = place.partition(":")
-    return getattr(import_module(f"boresight.{module}"), name)
 
 
 @contextmanager

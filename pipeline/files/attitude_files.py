@@ -20,7 +20,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.earth_rotation import AttitudeFrame, EarthRotation, InertialFrame, rotation_to_gcrs
 from boresight.geometry.epoch import Epoch
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.acm_text import (
     ANGLES,
     EULER,
@@ -72,11 +72,9 @@ class AttitudeRows(RowRecord):
         if not self.is_earth_fixed:
             return self
         first_s, last_s = float(self.t_s[0]), float(self.t_s[-1])
-        try:  # whether old tables are allowed is decided where the orbit is opened
+        # Whether old tables are allowed is decided where the orbit is opened.
+        with refusing(file, "times", "dates within the Earth-orientation table"):
             earth = EarthRotation.over(epoch, first_s, last_s, table, allow_stale_eop=True)
-        except ValueError as error:
-            expected = "dates within the Earth-orientation table"
-            raise RawDataError(file, "times", str(error), expected) from error
         R_si = self.R_si * earth.rotations_ie(self.t_s).inv()
         return replace(self, R_si=R_si, is_earth_fixed=False)
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from boresight.geometry.epoch import GPS_MINUS_TAI_S, TT_MINUS_TAI_S, Epoch, tai_minus_utc_s
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.records.record import Floats
 
 __all__ = [
@@ -27,10 +27,8 @@ Span = tuple[float, float]  # TAI seconds since the epoch
 
 def seconds_of(epoch: Epoch, utc: Sequence[str], file: str, field: str) -> Floats:
     """TAI seconds (N,) since `epoch` of N UTC times; `RawDataError` for times that do not exist."""
-    try:
+    with refusing(file, field, "UTC times that exist"):
         return epoch.seconds_from_utc(utc)
-    except ValueError as error:
-        raise RawDataError(file, field, str(error), "UTC times that exist") from error
 
 
 def span_text(epoch: Epoch, first_s: float, last_s: float) -> str:

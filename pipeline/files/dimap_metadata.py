@@ -38,7 +38,7 @@ from boresight.geometry.line_camera import LookAngleCamera, LookTable
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.terrain import ConstantHeight
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.xml_files import elements_of, numbers_of, read_xml, text_of, whole_of
 from boresight.records.record import Floats, record, scalar
 
@@ -136,7 +136,8 @@ def read_dimap(path: Path, eop: EarthOrientationTable, effects: LightEffects) ->
     image_s = (t_first - period, t_first + height * period)
     t_orbit, positions, velocities = _extended(*_ephemeris(root, names, epoch, file), image_s)
     span = (t_first - 1.0, t_first + height * period + 1.0)
-    try:
+    # Dates may be without Earth orientation, states too few to interpolate.
+    with refusing(file, names.point, "a strip that a satellite can take"):
         earth = EarthRotation.over(epoch, float(t_orbit[0]), float(t_orbit[-1]), eop)
         orbit = Orbit(
             epoch=epoch,
@@ -162,8 +163,6 @@ def read_dimap(path: Path, eop: EarthOrientationTable, effects: LightEffects) ->
             effects=effects,
         )
         first, last = pushbroom.known_rows()
-    except ValueError as error:  # dates without Earth orientation, states that cannot be interpolated
-        raise RawDataError(file, names.point, str(error), "a strip that a satellite can take") from error
     if first > 0.0 or last < height - 1.0:
         found = f"orbit and attitudes of lines {first:.0f} to {last:.0f}"
         raise RawDataError(file, names.point, found, f"of all lines, 0 to {height - 1}")
@@ -334,10 +333,8 @@ def _camera(root: Element, width: int, file: str) -> LookAngleCamera:
     samples: Floats = np.linspace(0.0, max(width - 1.0, 1.0), _LOOK_SAMPLES, dtype=np.float64)
     powers = (samples[:, None] + first_column) ** np.arange(_MAX_POWERS + 1)
     tan_x, tan_y = powers[:, : len(psi_y)] @ psi_y, -powers[:, : len(psi_x)] @ psi_x
-    try:
+    with refusing(file, "look angles", "look angles along a line"):
         return LookAngleCamera((LookTable(width, samples, tan_x, tan_y),))
-    except ValueError as error:
-        raise RawDataError(file, "look angles", str(error), "look angles along a line") from error
 
 
 def _line_of_sight(looks: Element, name: str, file: str) -> list[float]:
@@ -352,10 +349,8 @@ def _polynomial(root: Element, where: str, file: str) -> list[float]:
 
 
 def _utc(text: str, field: str, file: str) -> str:
-    try:
+    with refusing(file, field, "a UTC instant, 2018-12-26T10:48:55.449Z", found=text):
         Epoch.from_utc(text)
-    except ValueError as error:
-        raise RawDataError(file, field, text, "a UTC instant, 2018-12-26T10:48:55.449Z") from error
     return text
 
 

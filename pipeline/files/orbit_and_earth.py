@@ -12,7 +12,7 @@ from boresight.geometry.constants import ARCSEC, GM_EARTH
 from boresight.geometry.earth_orientation import EarthOrientationTable, bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.orbit import Orbit
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.dates import n_covered
 from boresight.pipeline.files.orbit_file import Ephemeris, joined_segments, read_segments
@@ -53,7 +53,7 @@ def read_earth_orientation(path: Path, file: str) -> EarthOrientationTable:
     rows = read_table(path, schema.EarthOrientationRow, file)
     columns = np.array([[r.mjd_utc, r.ut1_utc_s, r.x_arcsec, r.y_arcsec] for r in rows], dtype=float)
     mjd, ut1_utc, x, y = columns.reshape(-1, 4).T
-    try:
+    with refusing(file, "mjd_utc", "4 or more consecutive days"):
         return EarthOrientationTable(
             mjd_utc=mjd,
             ut1_utc_s=ut1_utc,
@@ -64,8 +64,6 @@ def read_earth_orientation(path: Path, file: str) -> EarthOrientationTable:
             source=file,
             mjd_last_measured=float(mjd[-1]) if len(mjd) else np.nan,
         )
-    except ValueError as error:
-        raise RawDataError(file, "mjd_utc", str(error), "4 or more consecutive days") from error
 
 
 def orbit_of(
@@ -93,7 +91,7 @@ def orbit_of(
         found = f"{ephemeris.first_time} to {ephemeris.last_time}"
         expected = f"dates within the Earth-orientation table ({error})"
         raise RawDataError(file, "time of the states", found, expected) from error
-    try:
+    with refusing(file, "states", "an orbit that can be interpolated"):
         return Orbit(
             epoch=ephemeris.epoch,
             t_s=t,
@@ -105,8 +103,6 @@ def orbit_of(
             method=ephemeris.method,
             begins=ephemeris.begins,
         )
-    except ValueError as error:
-        raise RawDataError(file, "states", str(error), "an orbit that can be interpolated") from error
 
 
 def _check_steps(ephemeris: Ephemeris, file: str) -> None:

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.earth_rotation import FrameOfDate, InertialFrame, of_date_to_gcrs, rotation_to_gcrs
 from boresight.geometry.epoch import GPS_MINUS_TAI_S, TT_MINUS_TAI_S, Epoch
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.text_files import NUMBER, PLAIN_NUMBER, read_message
 from boresight.pipeline.files.xml_files import elements_of, numbers_of, xml_root
 from boresight.pipeline.files.xml_files import text_of as element_text
@@ -346,10 +346,8 @@ def calendar_date(stamp: str, file: str, field: str) -> str:
     year, day, time = match.groups()
     if day is None:
         return stamp.removesuffix("Z")
-    try:
+    with refusing(file, field, "a day of that year", found=stamp):
         return f"{datetime.datetime.strptime(f'{year} {day}', '%Y %j').date()}{time}"
-    except ValueError as error:
-        raise RawDataError(file, field, stamp, "a day of that year") from error
 
 
 def tai_seconds(
@@ -361,7 +359,7 @@ def tai_seconds(
     """
     check_time_system(time_system, file)
     scale = time_system.upper()
-    try:
+    with refusing(file, field, "times that exist"):
         if scale == "UTC":
             epoch = Epoch.from_utc(times[0])
             return epoch, epoch.seconds_from_utc(times)
@@ -370,8 +368,6 @@ def tai_seconds(
         t_s = np.round(epoch.seconds_from_gps_dates(times) - ahead_s, 12)
         # TDB - TT at the Earth's centre, at most 2 ms
         return epoch, t_s - erfa.dtdb(*epoch.tt_jd(t_s), 0.0, 0.0, 0.0, 0.0) if scale == "TDB" else t_s
-    except ValueError as error:
-        raise RawDataError(file, field, str(error), "times that exist") from error
 
 
 def check_time_system(time_system: str, file: str, field: str = "TIME_SYSTEM") -> None:

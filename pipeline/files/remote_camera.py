@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from boresight.geometry.line_camera import Ccd, LineCamera, LookAngleCamera, LookTable
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files import dump_schema as schema
 from boresight.pipeline.files.text_files import path_inside, read_table, read_toml, toml_tables
 from boresight.pipeline.files.text_tables import write_csv, write_toml
@@ -30,7 +30,7 @@ def read_remote_camera(root: Path, path: Path, file: str) -> RemoteCamera:
 def _from_hardware(file: schema.RemoteCameraFile, name: str) -> LineCamera:
     ccds = []
     for n, ccd in enumerate(file.ccds):
-        try:
+        with refusing(name, f"ccds.{n}", "a possible detector"):
             ccds.append(
                 Ccd(
                     n_px=ccd.n_px,
@@ -44,8 +44,6 @@ def _from_hardware(file: schema.RemoteCameraFile, name: str) -> LineCamera:
                     across_offsets_m=np.array(ccd.distortion_across_um, dtype=float) * 1e-6,
                 )
             )
-        except ValueError as error:
-            raise RawDataError(name, f"ccds.{n}", str(error), "a possible detector") from error
     return LineCamera(file.focal_length_m, tuple(ccds), file.tdi_stages, file.time_of_row)
 
 
@@ -59,14 +57,10 @@ def _from_tables(root: Path, file: schema.LookCameraFile, name: str) -> LookAngl
     for n, ccd in enumerate(file.ccds):
         _, samples, *looks = table[table[:, 0] == n].T
         x, y = np.tan(looks) if file.directions == "angles" else looks
-        try:
+        with refusing(file.looks, f"CCD {n}", "looks along a detector"):
             ccds.append(LookTable(ccd.n_px, samples, x, y))
-        except ValueError as error:
-            raise RawDataError(file.looks, f"CCD {n}", str(error), "looks along a detector") from error
-    try:
+    with refusing(file.looks, "x, y", "looks along a detector"):  # looks that run to and fro
         return LookAngleCamera(tuple(ccds))
-    except ValueError as error:  # looks that run to and fro
-        raise RawDataError(file.looks, "x, y", str(error), "looks along a detector") from error
 
 
 def write_remote_camera(root: Path, camera: LineCamera | LookAngleCamera, bits: int) -> None:

@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import DAY_S
 from boresight.geometry.epoch import Epoch, seconds_from_ephemeris_time
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.attitude_files import AttitudeRows, check_rows
 from boresight.pipeline.files.content import check_extent, content_of, limited_content
 from boresight.pipeline.files.orbit_file import Ephemeris, check_components, check_states
@@ -81,11 +81,8 @@ def loaded(path: Path, file: str, kernels: Kernels) -> Iterator[tuple[Any, str]]
 
     `RawDataError` about `file` where the toolkit is not installed, and for its errors.
     """
-    try:
+    with refusing(file, "SPICE kernel", "spiceypy: pip install 'boresight[spice]'", ImportError):
         import spiceypy as spice
-    except ImportError as error:
-        remedy = "spiceypy: pip install 'boresight[spice]'"
-        raise RawDataError(file, "SPICE kernel", str(error), remedy) from error
     with tempfile.TemporaryDirectory(prefix="boresight-", ignore_cleanup_errors=True) as folder:
         copies = [
             _copy(*one, Path(folder) / f"{n}.kernel")

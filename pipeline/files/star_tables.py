@@ -15,7 +15,7 @@ import numpy as np
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.starlight import StarPlaces, SurveyedStars
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.content import Identity, check_extent, identity_of, limited_content
 from boresight.pipeline.files.xml_files import read_xml
 from boresight.records.record import Floats, record
@@ -152,10 +152,8 @@ def _column(table: Any, name: str, file: str) -> Floats:
         if absent is None:
             raise RawDataError(file, name, "no such column", "this column, named as in the Gaia archive")
         return np.full(len(table), absent)
-    try:
+    with refusing(file, name, "numbers", (TypeError, ValueError)):
         values = np.ma.filled(np.ma.asarray(table[name]).astype(float), np.nan)
-    except (TypeError, ValueError) as error:
-        raise RawDataError(file, name, str(error), "numbers") from error
     wrong = np.flatnonzero((values < low) | (values > high))
     if len(wrong):
         cell = f"row {wrong[0] + 1}, {name}"

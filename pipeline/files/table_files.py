@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.content import check_extent, check_regular
 
 __all__ = ["arrow_array", "arrow_rows", "column", "fixed", "fixed_list", "list_values", "read_parquet"]
@@ -34,15 +34,13 @@ def read_parquet(path: Path, columns: Mapping[str, pa.DataType] | None = None) -
     file = str(path)
     check_regular(path, file, EXPECTED)
     names = None if columns is None else list(columns)
-    try:
+    with refusing(file, "file", EXPECTED, (OSError, ValueError, MemoryError, pa.ArrowException)):
         with pq.ParquetFile(path, page_checksum_verification=True) as stored:
             repeated = _check_footer(stored, names, file)
             if not repeated:
                 table = stored.read(columns=names, use_threads=False)
         if repeated:
             table = _with_repeated_texts(path, names, repeated)
-    except (OSError, ValueError, MemoryError, pa.ArrowException) as error:
-        raise RawDataError(file, "file", str(error), EXPECTED) from error
     for name, kind in (columns or {}).items():
         if name not in table.column_names:
             raise RawDataError(file, f"column {name}", "no such column", EXPECTED)

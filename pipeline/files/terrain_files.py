@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from boresight.geometry.geodesy import unit_vectors
 from boresight.geometry.geoid import egm96
 from boresight.geometry.terrain import ConstantHeight, Raster, Surface, TerrainGrid, TerrainTiles, joined
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import refusing
 from boresight.pipeline.files.content import Identity, identity_of
 from boresight.pipeline.files.images.rasters import read_grid
 from boresight.records.record import Floats, array, record
@@ -86,11 +86,9 @@ def _read_terrain(terrain: TerrainFiles, identities: tuple[Identity, ...]) -> Te
         rasters.append(Raster(grid.values, grid.transform, grid.crs))
         left -= grid.values.size
     geoid = egm96() if terrain.height_kind == "egm96" else None
-    try:
+    with refusing(", ".join(terrain.files), "heights", "a grid of heights"):
         grids = tuple(
             TerrainGrid.from_raster(raster.heights_m, raster.transform, raster.crs, geoid)
             for raster in joined(rasters, MAX_TERRAIN_PIXELS)
         )
-    except ValueError as error:
-        raise RawDataError(", ".join(terrain.files), "heights", str(error), "a grid of heights") from error
     return grids[0] if len(grids) == 1 else TerrainTiles(grids)

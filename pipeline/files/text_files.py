@@ -20,7 +20,7 @@ from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.content import check_extent, limited_content
 
 __all__ = [
@@ -30,6 +30,7 @@ __all__ = [
     "csv_rows",
     "each_once",
     "expected_of",
+    "json_if_there",
     "path_inside",
     "read_json",
     "read_message",
@@ -103,11 +104,9 @@ def unpacked(raw: bytes, file: str, max_bytes: int) -> bytes:
     """
     if not raw.startswith(_GZIP):
         return raw
-    try:
+    with refusing(file, "gzip", "a whole gzip file", (OSError, EOFError, zlib.error)):
         with gzip.GzipFile(fileobj=io.BytesIO(raw)) as stream:
             content = stream.read(max_bytes + 1)
-    except (OSError, EOFError, zlib.error) as error:
-        raise RawDataError(file, "gzip", str(error), "a whole gzip file") from error
     check_extent(file, "unpacked", (len(content),), max_bytes, "bytes")
     return content
 
@@ -147,13 +146,16 @@ def read_json(path: Path, file: str = "") -> dict[str, Any]:
         raise RawDataError(file, "file", "no such file", expected)
     text = read_text(path, file)
     check_extent(file, "values", (sum(map(text.count, ",[{")),), MAX_JSON_VALUES, "values")
-    try:
+    with refusing(file, "JSON", "JSON that `calibrate` wrote", (ValueError, RecursionError)):
         content = json.loads(text, parse_constant=_no_number)
-    except (ValueError, RecursionError) as error:
-        raise RawDataError(file, "JSON", str(error), "JSON that `calibrate` wrote") from error
     if not isinstance(content, dict):
         raise RawDataError(file, "JSON", type(content).__name__, "an object, as `calibrate` wrote it")
     return content
+
+
+def json_if_there(path: Path) -> dict[str, Any]:
+    """As `read_json`; empty where there is no such file."""
+    return read_json(path) if path.is_file() else {}
 
 
 def _no_number(word: str) -> float:

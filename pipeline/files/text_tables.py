@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +18,7 @@ from boresight.pipeline.errors import printable
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["csv_line", "table_csv", "write_csv", "write_toml"]
+__all__ = ["csv_line", "leaves", "table_csv", "write_csv", "write_toml"]
 
 FORMULA = ("=", "+", "-", "@", "\uff1d", "\uff0b", "\uff0d", "\uff20")  # the latter of full width
 
@@ -28,6 +28,15 @@ def write_toml(path: Path, tables: Mapping[str, Any]) -> None:
     import tomlkit  # 6 ms to load, in commands that write none
 
     path.write_text(tomlkit.dumps(tables), encoding="utf-8")
+
+
+def leaves(values: Any, path: str = "") -> Iterator[tuple[str, Any]]:
+    """Each value of nested tables with its dotted name; an empty table is a value."""
+    if isinstance(values, Mapping) and values:
+        for key, value in values.items():
+            yield from leaves(value, f"{path}.{key}" if path else str(key))
+    else:
+        yield path, values
 
 
 def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 
 from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.files.table_files import read_parquet
-from boresight.pipeline.files.text_files import read_json
+from boresight.pipeline.files.text_files import json_if_there, read_json
 from boresight.pipeline.files.whole_file import write_text
 from boresight.pipeline.report.budget_table import JOINT_BUDGET, budget_rows
 from boresight.pipeline.report.first_screen import required, sigma_on_ground
@@ -50,10 +50,9 @@ def _joint_page(result: Path, installation: dict[str, Any], omissions: list[dict
     joint = matrix_numbers(installation, "installation.json")
     sigma_m = sigma_on_ground(installation)
     dumps = _dumps(result, {row["name"]: row["reason"] for row in omissions if row["kind"] == "dump"})
-    budget = read_json(result / JOINT_BUDGET) if (result / JOINT_BUDGET).is_file() else {}
     return template("dumps.html.j2").render(
         joint=joint,
-        budget=budget_rows(budget, installation, JOINT_BUDGET),
+        budget=budget_rows(json_if_there(result / JOINT_BUDGET), installation, JOINT_BUDGET),
         sigma_m=sigma_m,
         required=required(saved_requirement(result), joint["sigma"], sigma_m),
         **_common(result, installation, omissions),
@@ -137,10 +136,8 @@ def _basis(result: Path, names: list[str]) -> SheetBasis | None:
 
 def _drift(result: Path) -> dict[str, Any] | None:
     """Contents of the drift section; None where the result has no drift.json."""
-    path = result / "drift.json"
-    if not path.is_file():
+    if not (content := json_if_there(result / "drift.json")):
         return None
-    content = read_json(path)
     return {
         "moved": bool(content["moved"]),
         "constant": [number_from(content, "drift.json", f"constant.{k}", ".3g") for k in CONSTANT],

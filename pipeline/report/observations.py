@@ -22,8 +22,6 @@ from boresight.records.ledger import Kind, State
 from boresight.records.record import Floats, record, scalar
 
 __all__ = [
-    "KEYS",
-    "MOST_PRINTED",
     "Aims",
     "ExposureCard",
     "Pictures",
@@ -31,8 +29,6 @@ __all__ = [
     "TargetCard",
     "data_uri",
     "exposure_rows",
-    "pictures_of",
-    "rows_by_key",
     "shown_pictures",
     "strip_numbers",
     "strip_star_rows",
@@ -250,10 +246,11 @@ def _aims(row: Mapping[str, Any]) -> dict[str, Aims]:
         at["template"] = place, np.full(2, np.nan)
     else:  # what is shown is the predicted place
         at |= {"template": (off, place), "found": (off, place)}
-    return {
-        name: Aims(size=_size(row[f"{name}_png"]), matched=_corner(matched), predicted=_corner(predicted))
-        for name, (matched, predicted) in at.items()
-    }
+    aims = {}
+    for name, (matched, predicted) in at.items():
+        width, height = struct.unpack(">II", row[f"{name}_png"][16:24])  # as the PNG states them
+        aims[name] = Aims(size=(width, height), matched=_corner(matched), predicted=_corner(predicted))
+    return aims
 
 
 PLACES = ("place", ""), ("off", "_px"), ("surface", "")
@@ -263,12 +260,6 @@ def _corner(at: Floats) -> tuple[float, float] | None:
     """A place from the corner of the first pixel instead of its middle; None for NaN."""
     x, y = (round(float(value) + 0.5, 2) for value in at)
     return (x, y) if np.isfinite(x) else None
-
-
-def _size(png: bytes) -> tuple[int, int]:
-    """Width and height that a PNG states, px."""
-    width, height = struct.unpack(">II", png[16:24])
-    return width, height
 
 
 def exposure_rows(saved: Saved) -> tuple[ExposureCard, ...]:

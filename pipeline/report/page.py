@@ -16,6 +16,7 @@ from boresight.pipeline import __version__
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.table_files import column, list_values
+from boresight.pipeline.files.text_tables import leaves
 from boresight.pipeline.files.whole_file import write_text, write_whole
 from boresight.pipeline.report import figures
 from boresight.pipeline.report.budget_table import budget_rows
@@ -102,8 +103,8 @@ def report_parts(saved: Saved, most_matches: int = MOST_MATCHES) -> Iterator[str
         omissions=saved.ledger.slice(0, MOST_ROWS).to_pylist(),
         omissions_in_all=len(saved.ledger),
         kinds=sorted(Counter(saved.ledger.column("kind").to_pylist()).items()),
-        settings=list(_flat(saved.installation["settings"])),
-        facts=list(_flat({k: v for k, v in saved.run.items() if v is not None})),
+        settings=_texts(saved.installation["settings"]),
+        facts=_texts({k: v for k, v in saved.run.items() if v is not None}),
         inputs=saved.inputs.slice(0, MOST_ROWS).to_pylist(),
         inputs_in_all=len(saved.inputs),
         most_rows=MOST_ROWS,
@@ -233,13 +234,10 @@ def _star_image(saved: Saved) -> dict[str, Any] | None:
     return picture | {"about": about, "words": words}
 
 
-def _flat(values: Any, path: str = "") -> Iterator[tuple[str, str]]:
+def _texts(values: dict[str, Any]) -> list[tuple[str, str]]:
     """Nested settings as (dotted name, value): text unchanged, all else as JSON."""
-    if isinstance(values, dict) and values:
-        for name, value in values.items():
-            yield from _flat(value, f"{path}.{name}" if path else str(name))
-    else:
-        yield path, values if isinstance(values, str) else json.dumps(values, ensure_ascii=False)
+    of_name = leaves(values)
+    return [(name, v if isinstance(v, str) else json.dumps(v, ensure_ascii=False)) for name, v in of_name]
 
 
 def write_no_result(result: Path, dump: Dump, error: DataNotSufficientError) -> Path:

@@ -11,7 +11,7 @@ import pyarrow as pa
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.files.table_files import fixed, read_parquet
-from boresight.pipeline.files.text_files import read_json
+from boresight.pipeline.files.text_files import json_if_there, read_json
 from boresight.pipeline.report.ground_map import SCHEMA as GROUND
 from boresight.pipeline.report.page_template import UTC_FROM, Number, number_from
 from boresight.pipeline.results.folder import INTERIOR
@@ -114,7 +114,7 @@ def read_saved(result: Path) -> Saved:
         context=read_json(result / "evidence" / "context.json"),
         identity=plain(identity_of_result(result)),
         about=saved_about(result),
-        **{name: read_json(path) if path.is_file() else {} for name, path in own.items()},
+        **{name: json_if_there(path) for name, path in own.items()},
         interior_png=picture.read_bytes() if own["interior"].is_file() and picture.is_file() else b"",
         **tables,
     )

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, StringConstraints
 
-from boresight.pipeline.files.text_files import read_json, read_toml
+from boresight.pipeline.files.text_files import json_if_there, read_toml
 from boresight.pipeline.files.whole_file import write_json
 from boresight.records.record import record, scalar
 
@@ -58,8 +58,7 @@ def result_id(result: Path) -> str:
 
 def identity_of_result(result: Path) -> Identity:
     """The identity of a finished result; what an older version did not keep is "not known"."""
-    path = result / "run.json"
-    run: dict[str, Any] = read_json(path) if path.is_file() else {}
+    run = json_if_there(result / "run.json")
     commit = f" (commit {run['commit']})" if run.get("commit") else ""
     dumps = run.get("dumps")
     return Identity(
@@ -82,5 +81,4 @@ def write_about(result: Path, file: Path | None) -> bool:
 
 def saved_about(result: Path) -> dict[str, str]:
     """What the operator said of a result, by the keys of `About`; empty where nothing was said."""
-    path = result / ABOUT
-    return {key: str(value) for key, value in read_json(path).items()} if path.is_file() else {}
+    return {key: str(value) for key, value in json_if_there(result / ABOUT).items()}

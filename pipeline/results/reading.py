@@ -17,9 +17,9 @@ from boresight.calib.distortion import MODES
 from boresight.calib.error_table import BIASES, by_kind, coordinate_covariance, coordinate_names, prior_of
 from boresight.calib.information import InformationPairs
 from boresight.calib.predicted_earth import predictions_of
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.table_files import arrow_rows, column, list_values, read_parquet
-from boresight.pipeline.files.text_files import read_json
+from boresight.pipeline.files.text_files import json_if_there, read_json
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.ownership import check_dump_of, dump_identity, origin_of
 from boresight.pipeline.results.sightings_tables import read_sightings, sightings_schema
@@ -114,7 +114,7 @@ def read_findings(result: Path) -> list[dict[str, Any]]:
     """
     context, installation = result / "evidence" / "context.json", result / "installation.json"
     path = context if context.is_file() else installation
-    content = read_json(path) if path.is_file() else {}
+    content = json_if_there(path)
     found = (content if path == context else content.get("verdict") or {}).get("findings", [])
     if not all(isinstance(one, dict) and {"cause", "item", "text"} <= one.keys() for one in found):
         raise RawDataError(str(path), "findings", found, "objects with cause, item and text")
@@ -148,10 +148,8 @@ def read_saved_result(result: Path, camera: str = "") -> SavedResult:
         table = arrow_rows([], sightings_schema("exposures"))
     else:
         table = read_sightings(result, "exposures", "exposure_id t_s R_si covariance_s usable")
-    try:
+    with refusing(str(path), "column R_si", "rotations"):
         R_si = Rotation.from_matrix(list_values(table, "R_si", 3, 3)) if len(table) else Rotation.identity(0)
-    except ValueError as error:
-        raise RawDataError(str(path), "column R_si", str(error), "rotations") from error
     return SavedResult(
         R_cs=R_cs,
         theta=theta,
@@ -276,10 +274,8 @@ def read_for_dump(result: Path, dump: Path | None, camera: str = "") -> tuple[Pa
 def _numbers(content: dict[str, Any], key: str, shape: tuple[int, ...], file: str) -> Floats:
     """An array of finite numbers under a key of installation.json."""
     expected = f"{' x '.join(map(str, shape))} finite numbers"
-    try:
+    with refusing(file, key, expected, (ValueError, TypeError, OverflowError)):
         values = np.array(content.get(key), dtype=float)
-    except (ValueError, TypeError, OverflowError) as error:
-        raise RawDataError(file, key, str(error), expected) from error
     if values.shape != shape or not np.isfinite(values).all():
         raise RawDataError(file, key, content.get(key), expected)
     return values
@@ -292,14 +288,13 @@ def read_pairs(result: Path) -> InformationPairs:
 
 def pairs_in(path: Path) -> InformationPairs:
     """The pairs of a file that `pairs_table` was written to; `RawDataError` if not readable."""
-    try:
+    wrong = (ValueError, KeyError, IndexError, TypeError)
+    with refusing(str(path), "columns", "the table that `calibrate` wrote", wrong):
         table = read_parquet(path)
         unknowns = json.loads(table.schema.metadata[b"unknowns"])
         return InformationPairs.from_numbers(
             column(table, "name"), unknowns, list_values(table, "values", -1)
         )
-    except (ValueError, KeyError, IndexError, TypeError) as error:
-        raise RawDataError(str(path), "columns", str(error), "the table that `calibrate` wrote") from error
 
 
 def read_mounting(
@@ -327,10 +322,8 @@ def read_mounting(
     if tuple(coordinates) != coordinate_names(targets):
         raise RawDataError(str(path), "columns", coordinates[0], "unknowns of camera, targets and heads")
     eliminated = by_kind(own)
-    try:
+    with refusing(str(path), "F", "information pairs of strips", (np.linalg.LinAlgError, ValueError)):
         return pairs.as_one(name, eliminated, prior_of(eliminated, _prior_of_targets(result, targets)))
-    except (np.linalg.LinAlgError, ValueError) as error:
-        raise RawDataError(str(path), "F", str(error), "information pairs of strips") from error
 
 
 def _prior_of_targets(result: Path, targets: Sequence[str]) -> Floats:

@@ -10,7 +10,7 @@ import numpy as np
 
 from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
-from boresight.pipeline.files.text_files import read_json
+from boresight.pipeline.files.text_files import json_if_there
 from boresight.pipeline.files.whole_file import write_json
 from boresight.records.record import record, scalar
 
@@ -43,8 +43,7 @@ def saved_requirement(result: Path) -> dict[str, Any]:
     """The accuracy required of a result: largest 1-sigma about an axis, `arcsec`, and on the ground, `m`;
     null where none is, empty for a result without a requirement.
     """
-    path = result / FILE
-    return read_json(path) if path.is_file() else {}
+    return json_if_there(result / FILE)
 
 
 def is_met(requirement: Mapping[str, Any], installation: Mapping[str, Any]) -> bool:

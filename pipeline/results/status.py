@@ -11,7 +11,7 @@ from boresight.pipeline.calibration.rounds import is_settled
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.record_tables import record_from_table
-from boresight.pipeline.files.text_files import read_json
+from boresight.pipeline.files.text_files import json_if_there
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.ownership import dump_folder_of
 from boresight.pipeline.results.reading import read_findings
@@ -127,7 +127,7 @@ def _status(
     dumps: tuple[RunStatus, ...] = (),
 ) -> RunStatus:
     path = result / "installation.json"
-    verdict = read_json(path).get("verdict") if path.is_file() else None
+    verdict = json_if_there(path).get("verdict")
     return RunStatus(
         folder=str(result),
         begun=True,

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.attitude import AttitudeTrack
 from boresight.geometry.attitude_smoother import HeadRows, smoothed_track
 from boresight.geometry.pushbroom import Pushbroom
-from boresight.pipeline.errors import DataNotSufficientError, RawDataError
+from boresight.pipeline.errors import DataNotSufficientError, RawDataError, refusing
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import DumpFile
 from boresight.pipeline.files.object_store import dump_folder
@@ -166,10 +166,8 @@ def _noted_dump(result: Path) -> Path:
     if (result / MARKER).is_file():
         return dump_folder_of(result)
     path = result / "run.json"  # of a result in memory, or of a version that wrote no marker
-    try:
+    with refusing(str(path), "dump", "the dump's folder; or give --dump", (KeyError, TypeError)):
         noted = dump_folder(read_json(path)["dump"])
-    except (KeyError, TypeError) as error:
-        raise RawDataError(str(path), "dump", str(error), "the dump's folder; or give --dump") from error
     if not noted.is_dir():
         expected = "the folder that the result was made from; give it with --dump"
         raise RawDataError(str(path), "dump", f"{noted}, which is no folder", expected)

@@ -33,7 +33,6 @@ from boresight.pipeline.diagnosis.unused_rows import Rows
 from boresight.pipeline.files.record_tables import columns_of, plain
 from boresight.pipeline.files.table_files import arrow_array, arrow_rows, fixed_list
 from boresight.pipeline.files.whole_file import remove_abandoned, write_inside, write_json
-from boresight.pipeline.results.folder import DUMPS
 from boresight.pipeline.results.sightings_tables import COLUMNS, pairs_table, sightings_schema
 from boresight.pipeline.run.digests import rounded_digest
 from boresight.pipeline.run.settings import Settings
@@ -45,8 +44,8 @@ __all__ = [
     "blind_spots_json",
     "installation_facts",
     "joint_ground_m_per_rad",
+    "rotation_json",
     "verdict_json",
-    "write_dumps",
     "write_installation",
     "write_joint_result",
     "write_result",
@@ -134,11 +133,6 @@ def _write_tables(
     }
     for name, groups in (tables | of_all).items():
         _write_groups(result / "sightings" / f"{name}.parquet", groups)
-
-
-def write_dumps(result: Path, names: Sequence[str]) -> None:
-    """Note that the folder is of several dumps, whose own results lie in its folders `names`."""
-    write_json(result / DUMPS, {"dumps": list(names)})
 
 
 def write_run(result: Path, facts: dict[str, Any]) -> None:
@@ -241,7 +235,7 @@ def _matrices(
         R_cs, covariance = estimate.of_camera(name)
         theta = estimate.theta[3 * n : 3 * n + 3]
         matrix = {
-            **_rotation(R_cs, "R_cs", theta, covariance),
+            **rotation_json(R_cs, "R_cs", theta, covariance),
             "euler_zxy_deg": np.degrees(euler_zxy_from_theta(theta)).tolist(),
             "ground_m_per_rad": ground.tolist(),
         }
@@ -249,7 +243,7 @@ def _matrices(
     if len(cameras) == 1:
         return cameras[0]
     between = [
-        {"cameras": list(one.cameras), **_rotation(one.R_ab, "R_ab", one.theta, one.covariance)}
+        {"cameras": list(one.cameras), **rotation_json(one.R_ab, "R_ab", one.theta, one.covariance)}
         | {"p_value": one.p_value, "as_before_launch": one.as_before_launch}
         for one in estimate.between(sigma_rad)
     ]
@@ -257,7 +251,8 @@ def _matrices(
     return {"cameras": cameras, "between_cameras": between, "cameras_covariance_rad2": full}
 
 
-def _rotation(R: Rotation, name: str, theta: Floats, covariance: Floats) -> dict[str, Any]:
+def rotation_json(R: Rotation, name: str, theta: Floats, covariance: Floats) -> dict[str, Any]:
+    """A rotation of the name, with its theta (3,), rad, and covariance (3, 3), rad^2, for JSON."""
     return {
         name: R.as_matrix().tolist(),
         "quaternion": R.as_quat(canonical=True).tolist(),

@@ -98,7 +98,8 @@ class Processes:
             started.append(_Process(function, items))
             begin(started[-1])
 
-        _return_free_memory()
+        with suppress(OSError, TypeError, AttributeError):  # glibc alone has it
+            ctypes.CDLL(None).malloc_trim(0)  # a process that uses freed heap again would get a copy of it
         try:
             for _ in range(min(self.count, len(items))):
                 start()
@@ -132,12 +133,6 @@ class Processes:
     def share(self, count: int) -> Processes | InOrder:
         """An equal share of the processes; the item's own process where that is one or none."""
         return Processes(self.count // count) if 0 < 2 * count <= self.count else InOrder()
-
-
-def _return_free_memory() -> None:
-    """Return freed heap to the system: a forked process that uses it again would get a copy of every page."""
-    with suppress(OSError, TypeError, AttributeError):  # glibc alone has it
-        ctypes.CDLL(None).malloc_trim(0)
 
 
 class _Process:

@@ -20,7 +20,7 @@ from boresight.calib.verdict import VerdictSettings
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.line_camera import LineSensor
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.dump_schema import Errors
 from boresight.pipeline.files.text_files import expected_of, toml_tables
 from boresight.records.record import record
@@ -135,7 +135,5 @@ def settings_from_values(kind: type[Record], values: dict[str, Any], file: str, 
         except ValidationError as error:
             expected = expected_of(error.errors(include_url=False)[0])
             raise RawDataError(file, f"{section}.{key}", value, expected) from error
-    try:
+    with refusing(file, section, "values that are possible together"):
         return kind(**taken)
-    except ValueError as error:
-        raise RawDataError(file, section, str(error), "values that are possible together") from error

@@ -14,7 +14,7 @@ from rasterio.errors import RasterioError
 from rasterio.transform import Affine
 from rasterio.windows import Window
 
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.content import check_extent
 from boresight.pipeline.files.images.image_file import open_image
 from boresight.pipeline.files.images.tiff import open_tiff, tiff_window
@@ -130,12 +130,10 @@ def _pixel_side_m(transform: Any, crs: CRS) -> float:
 
 def _map_of(image: Any, file: str) -> str:
     """WKT of an image's CRS, which must convert from latitude and longitude."""
-    try:
+    expected = "one to which latitude and longitude can be converted"
+    with refusing(file, "coordinate reference system", expected, (RasterioError, ProjError)):
         wkt = str(image.crs.to_wkt())
         _check_map(wkt)
-    except (RasterioError, ProjError) as error:
-        expected = "one to which latitude and longitude can be converted"
-        raise RawDataError(file, "coordinate reference system", str(error), expected) from error
     return wkt
 
 

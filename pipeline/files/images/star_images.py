@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.content import check_bytes
 from boresight.pipeline.files.images.image_file import (
     MAX_STAR_BYTES,
@@ -137,8 +137,7 @@ def _decoding(file: str, field: str, expected: str) -> Iterator[None]:
     refused where it matters, are not shown.
     """
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"):
             yield
     except RawDataError:
         raise
@@ -250,12 +249,9 @@ def _netpbm_text(content: bytes, start: int, shape: tuple[int, ...], file: str) 
     text, need = content[start:], math.prod(shape)
     if text.translate(None, b"0123456789 \t\r\n\v\f"):
         text = re.sub(rb"#[^\n]*", b"", text)
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")  # of text that is no number
+    with refusing(file, "pixels", f"{need} numbers", (ValueError, DeprecationWarning)):
+        with warnings.catch_warnings(action="error"):  # of text that is no number
             values = np.fromstring(text, dtype=np.int64, sep=" ")[:need]
-    except (ValueError, DeprecationWarning) as error:
-        raise RawDataError(file, "pixels", str(error), f"{need} numbers") from error
     if len(values) < need or values.min(initial=0) < 0:
         found = f"{len(values)} numbers" if len(values) < need else f"a value of {values.min()}"
         raise RawDataError(file, "pixels", found, f"{need} numbers from 0 on")

@@ -13,6 +13,7 @@ import warnings
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.io import MemoryFile
 from rasterio.windows import Window
 
-from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.content import check_extent
 from boresight.pipeline.files.images.image_file import ImageFile, check_length, check_star_pixels, open_image
 from boresight.pipeline.files.object_store import StoredPath
@@ -59,6 +60,8 @@ _ALONE = {  # GDAL reads that file and no other: no sidecar, no network
     "GDAL_TIFF_INTERNAL_MASK": "YES",
     "CPL_VSIL_CURL_ALLOWED_EXTENSIONS": ".none",
 }
+# Images of cameras have no map.
+_unplaced = partial(warnings.catch_warnings, action="ignore", category=NotGeoreferencedWarning)
 
 
 def read_tiff(image: ImageFile) -> NDArray[Any]:
@@ -73,10 +76,8 @@ def read_tiff(image: ImageFile) -> NDArray[Any]:
             return tiff_window(tiff, image.name, Window(0, 0, *image.size))
         _check_planes(image, tiff)
         _check_deflated(tiff, image)
-        try:
+        with refusing(image.name, "pixels", "pixels that decode", UNDECODED):
             return np.asarray(tiff.read())
-        except UNDECODED as error:
-            raise RawDataError(image.name, "pixels", str(error), "pixels that decode") from error
 
 
 @contextmanager
@@ -95,9 +96,8 @@ def open_tiff(image: ImageFile) -> Iterator[Any]:
         streams.append(image.path.open(mode, buffering=0))
         return streams[-1]
 
-    with rasterio.Env(**_ALONE), warnings.catch_warnings(), ExitStack() as memory, _answered(streams):
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        try:
+    with rasterio.Env(**_ALONE), _unplaced(), ExitStack() as memory, _answered(streams):
+        with refusing(image.name, "TIFF header", "a TIFF image", (RasterioError, ValueError, OSError)):
             source: Any = image.path.resolve()
             if image.content is not None:
                 source = memory.enter_context(MemoryFile(image.content))
@@ -108,8 +108,6 @@ def open_tiff(image: ImageFile) -> Iterator[Any]:
                 sharing=False,
                 opener=opener if ranges else None,
             )
-        except (RasterioError, ValueError, OSError) as error:
-            raise RawDataError(image.name, "TIFF header", str(error), "a TIFF image") from error
         with tiff:
             for (rows, columns), kind in zip(tiff.block_shapes, tiff.dtypes):
                 row = rows, max(columns, tiff.width), np.dtype(kind).itemsize
@@ -134,11 +132,9 @@ def _answered(streams: Sequence[Any]) -> Iterator[None]:
 
 def tiff_window(tiff: Any, file: str, window: Window) -> NDArray[Any]:
     """Pixels (rows, columns) of the first band of an open TIFF; `RawDataError` where they do not decode."""
-    try:
+    where = f"rows {window.row_off}..{window.row_off + window.height - 1}"
+    with refusing(file, where, "pixels that decode", UNDECODED):
         return np.asarray(tiff.read(1, window=window))
-    except UNDECODED as error:
-        where = f"rows {window.row_off}..{window.row_off + window.height - 1}"
-        raise RawDataError(file, where, str(error), "pixels that decode") from error
 
 
 def _check_counts(image: ImageFile, tiff: Any) -> None:
@@ -179,13 +175,11 @@ def _check_deflated(tiff: Any, image: ImageFile) -> None:
             if start is None or size is None:
                 continue  # a block that is not there is zero
             stream = zlib.decompressobj()
-            try:
+            with refusing(image.name, f"block {place}", "a sound stream", zlib.error):
                 rest = image.content[int(start) : int(start) + int(size)]
                 while rest and not stream.eof:
                     stream.decompress(rest, _INFLATED_BYTES)
                     rest = stream.unconsumed_tail
-            except zlib.error as error:
-                raise RawDataError(image.name, f"block {place}", str(error), "a sound stream") from error
             if not stream.eof:
                 raise RawDataError(image.name, f"block {place}", "a stream without end", "a sound stream")
 
@@ -210,13 +204,10 @@ def _check_photometric(image: ImageFile) -> None:
 
 def planes_of_png(content: bytes, file: str) -> NDArray[Any]:
     """All planes (K, height, width) of a PNG file in memory, by libpng; `RawDataError` if it is none."""
-    try:
-        with rasterio.Env(**_ALONE), warnings.catch_warnings(), MemoryFile(content) as memory:
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
+    with refusing(file, "pixels", "pixels that decode", (RasterioError, ValueError, OSError, MemoryError)):
+        with rasterio.Env(**_ALONE), _unplaced(), MemoryFile(content) as memory:
             with memory.open(driver="PNG") as image:
                 return np.asarray(image.read())
-    except (RasterioError, ValueError, OSError, MemoryError) as error:
-        raise RawDataError(file, "pixels", str(error), "pixels that decode") from error
 
 
 @record
@@ -285,10 +276,8 @@ def check_strip_file(path: Path, file: str, *, lines: int, samples: int, bit_dep
 def tiff_opened(path: Path, shape: tuple[int, int], kind: str, **options: Any) -> Iterator[Any]:
     """A new file of (lines, samples) of a NumPy type, to be written by windows; `options` are GDAL's."""
     profile = {"driver": "GTiff", "height": shape[0], "width": shape[1], "count": 1, "dtype": kind}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(path, "w", **profile, **options) as image:
-            yield image
+    with _unplaced(), rasterio.open(path, "w", **profile, **options) as image:
+        yield image
 
 
 def write_tiff(path: Path, pixels: NDArray[Any], **options: Any) -> None:
