@@ -35,7 +35,7 @@ from boresight.calib.verdict import LOOK_AT, TOO_SMALL, Check, CheckKind, Outcom
 from boresight.features.exports.spice_export import SpiceFrames, instrument_kernel
 from boresight.features.interior import interior_files
 from boresight.features.mission import joint_trend
-from boresight.features.targets.target_matches import StripLine, matches_table
+from boresight.features.targets import target_matches
 from boresight.features.vectors import vector_result
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.line_camera import Ccd, LineCamera
@@ -155,14 +155,23 @@ def matches(folder: Path) -> tuple[Any, Any]:
         residual_px=np.array([0.125, -0.75]),
         **numbers,
     )
-    entry = Entry(Subject(Kind.TARGET, strip="S", ccd=1, id="U"), Reason.OUT_OF_VIEW, "why", "chip.tif")
-    made = matches_table([StripLine("S", [match], [entry], np.zeros(3), "")])
+    reasons = {"V": Reason.OUTSIDE_CCDS, "U": Reason.OUTSIDE_CHIP}  # what is not in view has no row
+    refusals = [
+        Entry(Subject(Kind.TARGET, strip="S", ccd=1, id=name), why, "why", "chip.tif")
+        for name, why in reasons.items()
+    ]
+    found = Of(matches=[match], refused=refusals, theta_vote=np.array([1e-4, -2e-4, 3e-4]))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(target_matches, "strip_matches", lambda task: (found, []))
+        (line,) = target_matches.matched_lines([Of(strip=Of(strip_id="S"))])
+    told = "S   1 matched, 1 refused, theta (+0.000100, -0.000200, +0.000300) rad"
     right = {"strip_id": "S", "target_id": "T", "outcome": "placed", "sample_px": 101.5, "line_px": 2002.25}
     right |= {"sigma_sample_px": 0.2, "sigma_line_px": 0.5, "covariance_px2": -0.01, "reason": ""}
     right |= {"predicted_sample_px": 99.0, "predicted_line_px": 1990.0}
     right |= {"residual_sample_px": 0.125, "residual_line_px": -0.75} | numbers
     refused = dict.fromkeys(right, math.nan) | {"strip_id": "S", "target_id": "U", "ccd": 1}
-    return made.to_dict("records"), [right, refused | {"outcome": "refused", "reason": entry.text}]
+    refused |= {"outcome": "refused", "reason": refusals[1].text}
+    return [line.text, *target_matches.matches_table([line]).to_dict("records")], [told, right, refused]
 
 
 def trend(folder: Path) -> tuple[Any, Any]:
