@@ -96,10 +96,10 @@ def test_one_wrong_attitude_is_named_alone(wrong):
     assert told.item == f"exposure {NAMES[wrong]}"
     assert told.text.startswith("off the motion")
     sound = attitudes(2)
-    R_si[wrong] = R_si[wrong] @ Rotation.from_rotvec([0.05, 0.1, -0.05]).as_matrix()
-    (told,) = findings(Rotation.from_matrix(R_si), beside=sound)  # far from the other head, all others near
+    R_si[wrong] = R_si[wrong] @ Rotation.from_rotvec([0.6, 1.2, -0.6]).as_matrix()
+    (told,) = findings(Rotation.from_matrix(R_si), beside=sound)  # by 84°; all other rows fit both heads
     assert told.item == f"exposure {NAMES[wrong]}"
-    assert findings(Rotation.from_matrix(R_si), beside=Rotation.from_rotvec([0.05, 0.1, -0.05]) * sound) == []
+    assert findings(Rotation.from_matrix(R_si), beside=Rotation.from_rotvec([0.6, 1.2, -0.6]) * sound) == []
 
 
 @pytest.mark.parametrize("seed", range(20))
