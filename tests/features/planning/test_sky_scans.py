@@ -95,6 +95,8 @@ def test_scans_keep_both_cameras_away_and_beat_chance():
     assert np.all(np.diff(found.sigma_rad, axis=0) < 0.0)  # another scan never takes information away
     look = np.array([1.0, 1.0, 0.01])
     assert look @ found.sigma_rad[-1] ** 2 < 0.8 * look @ found.random_sigma_rad**2
+    told = scan_files.scan_lines(found, DUMP.epoch)[-1]  # as many at random
+    assert np.radians(np.array(numbers(told)) / 3600.0) == pytest.approx(found.random_sigma_rad, abs=2.6e-9)
 
 
 def test_a_head_that_delivers_attitudes_counts_by_their_covariance():
