@@ -81,6 +81,7 @@ def test_each_matrix_is_as_well_known_as_alone_and_the_rotation_between_them_bet
         assert np.all(of_one <= 1.001 * one.sigma_theta)
     (between,) = found.between()
     apart = alone[0].cov_theta + (lift := between.R_ab.as_matrix()) @ alone[1].cov_theta @ lift.T
+    np.testing.assert_allclose(between.sigma**2, np.diag(between.covariance))
     ratio = between.sigma / np.sqrt(np.diag(apart))
     assert ratio[0] < 0.3 and np.all(ratio < 0.95), ratio  # about the line of sight targets decide
 

@@ -19,15 +19,18 @@ from boresight.version import __version__
 NO_TEXT = os.fsdecode(b"n\xf6t text")
 
 
-def test_closed_streams_and_a_backend_that_is_none_are_no_obstacle(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "boresight", "trends", "none", "--out", str(tmp_path / "trends")]
+@pytest.mark.parametrize(
+    ("words", "told"), [("trends none --out", "no such file"), ("dump init --ask", "Aborted!")]
+)
+def test_closed_streams_and_a_backend_that_is_none_are_no_obstacle(words, told, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "boresight", *words.split(), str(tmp_path / "out")]
     done = subprocess.run(
         ["bash", "-c", 'exec "$@" <&- >&-', "bash", *command],
         env=os.environ | {"MPLBACKEND": "nonsense"},
         stderr=subprocess.PIPE,
         text=True,
     )
-    assert done.returncode == 1 and "no such file" in done.stderr, done.stderr
+    assert done.returncode == 1 and told in done.stderr, done.stderr
     assert len(done.stderr.splitlines()) == 1
 
 
