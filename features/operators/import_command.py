@@ -104,7 +104,7 @@ def import_points_command(
     sigma_px: Annotated[float, typer.Option(help="1-sigma of the image positions, px.", min=1e-4)] = 0.5,
     sigma_m: Annotated[
         tuple[float, float, float],
-        typer.Option(help="1-sigma of the coordinates, m.", metavar="EAST NORTH UP"),
+        typer.Option(help="1-sigma of the coordinates, m.", metavar="EAST NORTH UP", min=0.0),
     ] = (1.0, 1.0, 1.0),
     height_m: Annotated[float | None, typer.Option(help="Height of all points, m (QGIS has none).")] = None,
     height_kind: Annotated[

@@ -22,8 +22,8 @@ def centroids_command(
     truth: Annotated[
         Path | None, typer.Option(help="CSV with columns x_px, y_px, flux_dn (and file, for several images).")
     ] = None,
-    psf_sigma_px: Annotated[float | None, typer.Option(help="True width of the PSF, if known.")] = None,
-    gain: Annotated[float | None, typer.Option(help="Electrons per DN, if known.")] = None,
+    psf_sigma_px: Annotated[float | None, typer.Option(help="PSF width, if known.", min=0.1, max=1e3)] = None,
+    gain: Annotated[float | None, typer.Option(help="Electrons per DN, if known.", min=1e-9, max=1e9)] = None,
     dark: Dark = None,
     out: Annotated[Path | None, typer.Option(help="CSV file for all centroids with their errors.")] = None,
     plot: Annotated[

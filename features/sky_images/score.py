@@ -68,7 +68,7 @@ def cramer_rao_px(
     Pixels that a star raises by `full_dn` or more above the background are saturated and have no weight.
     """
     sigma = psf.sigma_at(xy_px)
-    radius = int(np.ceil(5.0 * sigma.max() + 0.5 * np.hypot(*psf.smear_px)))
+    radius = int(np.ceil(5.0 * sigma.max(initial=0.0) + 0.5 * np.hypot(*psf.smear_px)))
     images = psf_images(xy_px - np.rint(xy_px), sigma, psf.smear_px, radius)
     value, flux = images.value.astype(float), flux_dn[:, None]
     J = np.stack([flux * images.d_x, flux * images.d_y, value, np.ones_like(value)], axis=1)

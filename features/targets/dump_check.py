@@ -114,9 +114,9 @@ def _of_cameras(views: Sequence[DumpCheck]) -> DumpCheck:
     best: dict[str, TargetCheck] = {}
     for target in (target for one in views for target in one.targets):
         before = best.get(target.target_id, target)
-        ordered = sorted((before, target), key=lambda one: (not one.seen_by, one.worth_a_look[1]))
+        near = min(before, target, key=lambda one: (not one.seen_by, not one.nearest, -one.worth_a_look[1]))
         seen_by = tuple(dict.fromkeys(name for one in (before, target) for name in one.seen_by))
-        best[target.target_id] = replace(ordered[0], seen_by=seen_by)
+        best[target.target_id] = replace(near, seen_by=seen_by)
     entries = {(entry.subject, entry.text): entry for one in views for entry in one.omissions}
     return replace(
         views[0],

@@ -31,7 +31,7 @@ FEWEST_ROWS, MOST_ROWS = 5, 64  # of a stretch; longer ones are cut, since the w
 SMOOTH_STEPS = (2.0, 3.0, 5.0, 9.0)  # over which a motion is smooth
 SIZES = np.exp(np.linspace(-3.0, 10.0, 27))  # a, in units of the stated error
 FACTORS = np.exp(np.linspace(0.0, 10.0, 41))  # s of the errors, from as stated to four decades more
-WILD = 1e3  # 1-sigma of a row that says nothing, in units of the stated error
+WILD = np.array([1e3, 1e6])  # 1-sigma of a row that says nothing, in stated errors: near, or any attitude
 
 
 @record(kw_only=True)
@@ -86,8 +86,8 @@ class Stretch:
             fit = -0.5 * (np.log(of_mode) + z**2 / of_mode).sum(axis=2)
             by_row = np.einsum("smk,sm,asm->ask", modes, z, 1.0 / of_mode)
             weight = np.einsum("smk,asm->ask", modes**2, 1.0 / of_mode)
-            wild = (WILD * own) ** 2
-            gained = 0.5 * (by_row**2 / (1.0 / wild + weight) - np.log1p(wild * weight))
+            wild = (WILD[:, None, None, None] * own) ** 2
+            gained = 0.5 * (by_row**2 / (1.0 / wild + weight) - np.log1p(wild * weight)).max(axis=0)
             gains += (fit[:, :, None] + gained).max(axis=(0, 1)) - fit.max()
         return gains
 

@@ -267,8 +267,10 @@ def test_no_answer_is_false_and_says_why(ground: np.ndarray) -> None:
     assert not bs.calibrate_star_camera([image])
 
 
-def test_callers_mistakes_are_named() -> None:
+def test_callers_mistakes_are_named(estimate: bs.Calibration, tmp_path: Path) -> None:
     camera = bs.open_dump(MINI).star_camera
+    with pytest.raises(ValueError, match="a joint result without a folder"):
+        dataclasses.replace(estimate, _run=None).report(tmp_path / "page.html")
     with pytest.raises(ValueError, match="exclude one another"):
         bs.identify(EXPOSURE, camera=camera, fov_deg=20)
     with pytest.raises(ValueError, match=r"between 0\.5 and 175"):

@@ -109,8 +109,12 @@ def test_the_wcs_agrees_with_the_camera_within_its_stated_misfit(solution: bs.St
     apart = wcs.pixel_to_world(*xy.T).separation(solution.pixel_to_sky(xy)).arcsec
     assert apart.max() < 66.0 * (solution.wcs_misfit_px + 1e-3)  # arcsec a pixel; 1e-3 between its nodes
     assert solution.wcs_misfit_px < 0.01
-    with pytest.raises(ValueError, match="pixel_to_sky has no such limit"):
-        solution.wcs(max_misfit_px=0.0)
+    plain = {"projection": "equidistant"} | dict.fromkeys(("p1", "p2", "q1", "q2"), 0.0)
+    wide = [replace(solution.camera, focal_m=f * solution.camera.focal_m, **plain) for f in (0.21, 0.195)]
+    near, off = (replace(solution, field=replace(solution.field, camera=one)) for one in wide)
+    assert 0.3 < near.wcs_misfit_px < 1.0 < off.wcs_misfit_px < 3.0 and isinstance(near.wcs(), WCS)
+    with pytest.raises(ValueError, match="at most 1 px; pixel_to_sky has no such limit"):
+        off.wcs()
 
 
 def test_a_mirror_image_has_the_coordinates_of_its_own_pixels(pixels: np.ndarray) -> None:

@@ -1,16 +1,23 @@
 """Further tasks of people who know names and docstrings alone, with values given by mistake."""
 
+import datetime
 import warnings
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+import astropy.units as units
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 import pytest
 import rasterio
+from astropy.time import Time
 from matplotlib.axes import Axes
+from scipy.spatial.transform import Rotation
 
 import boresight as bs
-from boresight.accepted import pixels_of
+from boresight import accepted
 from boresight.features.planning import campaign_plan
 
 MINI = Path(__file__).parents[2] / "fixtures" / "mini"
@@ -94,7 +101,53 @@ def test_a_file_in_place_of_a_folder_is_said() -> None:
         bs.calibrate(MINI, settings={"run": {"rounds": 1}})  # type: ignore[arg-type]
 
 
+def test_an_instant_is_the_same_in_all_its_forms() -> None:
+    noon, India = datetime.datetime(2024, 11, 20, 12, 0, 0, 250000), datetime.timedelta(hours=5, minutes=30)
+    forms = ["2024-11-20T12:00:00.25", noon, np.datetime64(noon), Time("2024-11-20T12:00:37.25", scale="tai")]
+    forms += [(noon + India).replace(tzinfo=datetime.timezone(India)), pd.Timestamp(noon, tz="UTC")]
+    assert {pd.Timestamp(accepted.utc_of(one, "time")) for one in forms} == {pd.Timestamp(noon)}
+
+
+R_ANY = Rotation.from_euler("xyz", [40, -65, 110], degrees=True).as_matrix()
+# By a reader and its limits: what is still accepted, and what is refused.
+EDGES: dict[str, tuple[Callable[[Any], Any], list[Any], list[Any]]] = {
+    "rotation": (
+        lambda one: accepted.rotation_of(one, "R_cs0").as_matrix(),
+        [R_ANY.round(7)],
+        [R_ANY.round(5), -R_ANY, R_ANY[:2], [Rotation.identity()] * 2],
+    ),
+    "number": (
+        lambda one: accepted.number_of(one, "x", -0.5, 2.0),
+        [-0.5, 2],
+        [-0.501, 2.001, True, "1", np.nan],
+    ),
+    "count": (lambda one: accepted.count_of(one, "n", 1, 9), [1, 9], [0, 10, 2.0, True]),
+    "site": (
+        accepted.site_of,
+        [(90, 360, -500), (-90, -360, 9000)],
+        [(90.1, 0, 0), (0, 361, 0), (0, 0, -501)],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", EDGES)
+def test_a_limit_is_accepted_and_what_is_beyond_is_not(name: str) -> None:
+    read, inside, outside = EDGES[name]
+    for one in inside:
+        assert np.allclose(read(one), one, atol=1e-7)
+    for one in outside:
+        with pytest.raises(ValueError, match="expected"):
+            read(one)
+
+
+def test_numbers_of_stated_units_are_converted_and_covariances_by_the_square() -> None:
+    assert accepted.number_of(0.5 * units.deg, "fov_rad") == pytest.approx(np.pi / 360.0)
+    found = accepted.floats_of(np.diag([1.0, 4.0]) * units.arcmin**2, "cov_arcsec", "(2, 2)")
+    assert np.allclose(found, np.diag([3600.0, 14400.0]))
+    assert np.allclose(accepted.floats_of([[1.0, 2.0]] * units.km, "p_m", "(1, 2)"), [[1000.0, 2000.0]])
+
+
 def test_masked_pixels_of_a_floating_chip_are_no_numbers() -> None:
     chip = np.ma.masked_less(np.linspace(0.0, 1.0, 12).reshape(3, 4), 0.5)
-    given = pixels_of(lambda: chip, "targets, row 0, chip", "grey values")
+    given = accepted.pixels_of(lambda: chip, "targets, row 0, chip", "grey values")
     assert np.array_equal(np.isnan(given), np.ma.getmaskarray(chip))

@@ -56,9 +56,14 @@ def test_targets_that_all_strips_see_are_one_point_each():
 def test_targets_beyond_the_limit_are_many_points():
     plan = replace(StripPlan(), strips=3, targets=6, sigma_target_m=5.0, same_targets=True)
     strips, _ = draw_strips(plan, CAMERAS, np.random.default_rng(1))
+    names = np.unique(strips[0].ground.target_id)
+    rows = np.flatnonzero(~np.isin(strips[1].ground.target_id, names[[0, 3]]))  # seen twice, others thrice
+    ground, R_oi = strips[1].ground.take(rows), strips[1].R_oi_targets[rows]
+    strips[1] = replace(strips[1], ground=ground, R_oi_targets=R_oi)
     estimate = calibrate_strips(strips, R_CS0, CalibrationSettings(most_shared_targets=4))
     assert isinstance(estimate, InstallationEstimate)
-    assert sum(name.startswith("target/") for name in estimate.pairs.shared) == 12
+    shared = [name for name in estimate.pairs.shared if name.startswith("target/")]
+    assert shared == [f"target/{name}/{axis}" for name in names[[1, 2, 4, 5]] for axis in range(3)]
 
 
 def test_gross_errors_are_left_out_and_said_so():

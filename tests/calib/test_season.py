@@ -21,13 +21,14 @@ CAMERAS = CameraPair(Rotation.from_euler("xyz", [40, -65, 110], degrees=True), n
 PLAN = replace(TABLE_1, strips=9, exposures=5, stars=15, sigma_target_m=0.5)
 SETTINGS = CalibrationSettings()
 DAYS = np.array([0, 31, 70, 118, 163, 201, 246, 290, 342])  # of the strips
+ORDER = np.array([3, 7, 0, 4, 8, 2, 6, 1, 5])  # of their dates, by id
 
 
 def causes(seed, turns_arcsec, days=DAYS):
     """Causes, items, sizes and sigmas found, of strips at `days` with the mounting turned about y of c."""
     drawn = with_attitudes(draw_strips(PLAN, CAMERAS, np.random.default_rng(seed))[0], SETTINGS.attitudes)
     strips = []
-    for strip, day, turn in zip(drawn, days, turns_arcsec):
+    for strip, day, turn in zip(drawn, days[ORDER], turns_arcsec[ORDER]):
         u_c = deviation_from_theta(np.array([0.0, turn * ARCSEC, 0.0])).apply(strip.ground.u_c)
         later = day * DAY_S
         exposures = tuple(replace(one, t_s=one.t_s + later) for one in strip.exposures)
@@ -55,7 +56,7 @@ def test_a_season_is_reported_as_a_season_with_its_size(seed, phase_days):
 
 def test_a_jump_is_no_season():
     ((cause, item, *_),) = causes(1, 6.0 * (np.arange(9) >= 4))
-    assert (cause, item) == ("mounting moved, about y of c", "from strip strip0004 on")
+    assert (cause, item) == ("mounting moved, about y of c", "from strip strip0003 on")
 
 
 def test_a_mounting_at_rest_has_no_season():

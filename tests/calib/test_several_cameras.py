@@ -81,6 +81,7 @@ def test_each_matrix_is_as_well_known_as_alone_and_the_rotation_between_them_bet
         assert np.all(of_one <= 1.001 * one.sigma_theta)
     (between,) = found.between()
     apart = alone[0].cov_theta + (lift := between.R_ab.as_matrix()) @ alone[1].cov_theta @ lift.T
+    np.testing.assert_allclose(between.sigma**2, np.diag(between.covariance))
     ratio = between.sigma / np.sqrt(np.diag(apart))
     assert ratio[0] < 0.3 and np.all(ratio < 0.95), ratio  # about the line of sight targets decide
 
@@ -92,7 +93,12 @@ def test_exposures_of_both_cameras_are_counted_once() -> None:
 
 def test_a_sound_campaign_is_consistent_and_a_moved_ccd_is_named_with_its_camera() -> None:
     strips = campaign(0, replace(PLAN, targets=30))
-    assert told(strips, estimated(strips)).outcome is Outcome.CONSISTENT
+    found = estimated(strips)
+    verdict, of_cameras = told(strips, found), (found.cov_theta[:3, :3], found.cov_theta[3:, 3:])
+    assert verdict.outcome is Outcome.CONSISTENT
+    worst = max(of_cameras, key=lambda cov: np.linalg.norm(cov, 2))  # of the camera that is known worse
+    assert verdict.weakest_sigma_rad**2 == pytest.approx(np.linalg.norm(worst, 2))
+    assert verdict.weakest_axis_c @ worst @ verdict.weakest_axis_c == pytest.approx(np.linalg.norm(worst, 2))
     moved = []
     for strip in strips:
         off = 2e-5 * (strip.ground.ccd == 1) * (strip.camera == "oblique")  # ten pixels along x

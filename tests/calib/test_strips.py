@@ -208,6 +208,9 @@ def test_coordinates_of_targets_are_in_axes_that_rotate_with_the_earth():
     )
     np.testing.assert_allclose(first.cov_coordinates[0], np.diag([1.0, 4.0, 9.0]), atol=1e-6)
     np.testing.assert_allclose(second.cov_coordinates[0], np.diag([4.0, 1.0, 9.0]), atol=1e-6)
+    for strips, (x, y) in (((first, second), (1.0, 4.0)), ((second, first), (4.0, 1.0))):  # that of the first
+        prior = find_shared(strips, NONE).prior_targets[:3, :3]
+        np.testing.assert_allclose(np.linalg.inv(prior), np.diag([x, y, 9.0]), atol=1e-6)
 
 
 def test_distortion_has_the_stated_variance_between_knots_too():

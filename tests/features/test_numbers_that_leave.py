@@ -35,10 +35,13 @@ from boresight.calib.verdict import LOOK_AT, TOO_SMALL, Check, CheckKind, Outcom
 from boresight.features.exports.spice_export import SpiceFrames, instrument_kernel
 from boresight.features.interior import interior_files
 from boresight.features.mission import joint_trend
-from boresight.features.targets.target_matches import StripLine, matches_table
+from boresight.features.mission.mounting_comparison import Comparison
+from boresight.features.mission.what_if import WhatIf
+from boresight.features.targets import target_matches
 from boresight.features.vectors import vector_result
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.line_camera import Ccd, LineCamera
+from boresight.matching import Match
 from boresight.pipeline.diagnosis.input_findings import EarthTableCheck
 from boresight.pipeline.diagnosis.unused_rows import Rows
 from boresight.pipeline.results.sightings_tables import sightings_schema
@@ -155,14 +158,108 @@ def matches(folder: Path) -> tuple[Any, Any]:
         residual_px=np.array([0.125, -0.75]),
         **numbers,
     )
-    entry = Entry(Subject(Kind.TARGET, strip="S", ccd=1, id="U"), Reason.OUT_OF_VIEW, "why", "chip.tif")
-    made = matches_table([StripLine("S", [match], [entry], np.zeros(3), "")])
+    reasons = {"V": Reason.OUTSIDE_CCDS, "U": Reason.OUTSIDE_CHIP}  # what is not in view has no row
+    refusals = [
+        Entry(Subject(Kind.TARGET, strip="S", ccd=1, id=name), why, "why", "chip.tif")
+        for name, why in reasons.items()
+    ]
+    found = Of(matches=[match], refused=refusals, theta_vote=np.array([1e-4, -2e-4, 3e-4]))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(target_matches, "strip_matches", lambda task: (found, []))
+        (line,) = target_matches.matched_lines([Of(strip=Of(strip_id="S"))])
+    told = "S   1 matched, 1 refused, theta (+0.000100, -0.000200, +0.000300) rad"
     right = {"strip_id": "S", "target_id": "T", "outcome": "placed", "sample_px": 101.5, "line_px": 2002.25}
     right |= {"sigma_sample_px": 0.2, "sigma_line_px": 0.5, "covariance_px2": -0.01, "reason": ""}
     right |= {"predicted_sample_px": 99.0, "predicted_line_px": 1990.0}
     right |= {"residual_sample_px": 0.125, "residual_line_px": -0.75} | numbers
     refused = dict.fromkeys(right, math.nan) | {"strip_id": "S", "target_id": "U", "ccd": 1}
-    return made.to_dict("records"), [right, refused | {"outcome": "refused", "reason": entry.text}]
+    refused |= {"outcome": "refused", "reason": refusals[1].text}
+    return [line.text, *target_matches.matches_table([line]).to_dict("records")], [told, right, refused]
+
+
+def results_shown(folder: Path) -> tuple[Any, Any]:
+    """What a match, two matrices, a changed result and a comparison print and list."""
+    sigma = np.array([0.5, 1.5, 2.5, 0.75, 1.25, 4.0])
+    of_cov, off = np.diag((sigma * ARCSEC) ** 2), np.array([3.0, -1.0, 4.0]) * ARCSEC
+    match = Of(
+        xy_px=np.array([84.25, 90.5]), cov_px=np.array([[0.04, 0.01], [0.01, 0.25]]), correlation=0.875
+    )
+    match = Of(**vars(match), probability_wrong=2e-7, affine=np.zeros((2, 2)), found=np.zeros((48, 64)))
+    spot = {"cause": "c", "item": "i", "unit": "m", "is_unseen": True, "hidden_sigma": 2.25}
+    pair = {
+        "cameras": ["nadir", "aft"],
+        "theta_rad": off,
+        "covariance_rad2": of_cov[3:, 3:],
+        "p_value": 0.375,
+    }
+    both = missions.Calibration(
+        R_cs=Rotation.concatenate([R_CS, R_CS.inv()]),
+        theta=np.array([3.0, -1.0, 4.0, -1.5, 9.0, 2.6]) * ARCSEC,
+        cov_theta=of_cov,
+        counts="17 targets",
+        chi2=12.5,
+        dof=19,
+        targets=pd.DataFrame(),
+        not_used=pd.DataFrame(columns=missions.UNUSED),
+        facts={"blind_spots": [spot | {"effect_rad": off.tolist()}], "between_cameras": [pair]},
+        cameras=("nadir", "aft"),
+    )
+    left, worse = of_cov[:3, :3], of_cov[3:, 3:]
+    asked = WhatIf(shift=off, covariance=worse, covariance_now=left, strips=("s1", "s2"))
+    named = {"id": "b", "utc": UTC[1], "ground_m_per_rad": np.array([5e5, 7e5, 6e3])}
+    compared = Comparison(
+        first=Of(id="a", utc=UTC[0], pair=Of(shared=("distortion",))),
+        second=Of(**named),
+        theta_c=off,
+        covariance_c=left,
+        theta_s=-off[::-1],
+        covariance_s=worse,
+        chi2=6.5,
+        dof=3,
+        common_strips=("s1", "s2"),
+        shares_camera=True,
+        false_alarm=0.01,
+        differing=(),
+    )
+    made = [Match.table(match), both.blind_spots, both.between_cameras, asked.table()]
+    made += [" ".join(one.split()) for one in (Match.summary(match), both.summary())]
+    made += [" ".join(one.summary().split()) for one in (asked, compared)]
+    right: list[Any] = [
+        {"x_px": [84.25], "y_px": [90.5], "sigma_x_px": [0.2], "sigma_y_px": [0.5]}
+        | {"correlation": [0.875], "probability_wrong": [2e-7]},
+        [spot | xyz("effect", [3.0, -1.0, 4.0])],
+        [
+            {"a": "nadir", "b": "aft", "p_value": 0.375}
+            | xyz("theta", [3.0, -1.0, 4.0])
+            | xyz("sigma", sigma[3:])
+        ],
+        [
+            {"quantity": what} | dict(zip(("x_arcsec", "y_arcsec", "z_arcsec"), values))
+            for what, values in (
+                ("shift", [3.0, -1.0, 4.0]),
+                ("1 sigma", sigma[3:]),
+                ("1 sigma now", sigma[:3]),
+            )
+        ],
+    ]
+    right[1:] = [pd.DataFrame(one) for one in right[1:]]
+    p = 2.0 * chi2(19).cdf(12.5), chi2(3).sf(6.5)
+    return made, [
+        *right,
+        "found at (84.250 +- 0.200, 90.500 +- 0.500) px correlation 0.875, wrong with probability 2.0e-07 "
+        "translation of 64 x 48 px",
+        "R_cs of nadir: theta X +3.000 +- 0.500, Y -1.000 +- 1.500, Z +4.000 +- 2.500 arcsec "
+        "R_cs of aft: theta X -1.500 +- 0.750, Y +9.000 +- 1.250, Z +2.600 +- 4.000 arcsec "
+        f"not assessed chi2 / dof 12.5 / 19 (p {p[0]:.2g}) from 17 targets not used: nothing",
+        "from 2 strips X Y Z shift 3.0000 -1.0000 4.0000 1 sigma 0.7500 1.2500 4.0000 "
+        "1 sigma now 0.5000 1.5000 2.5000",
+        "a of 2026-02-03 and b of 2026-09-08 X Y Z difference, frame c, arcsec +3.0000 -1.0000 +4.0000 "
+        "1 sigma +0.5000 +1.5000 +2.5000 on the ground, m +7.2722 +3.3937 +0.1164 "
+        "difference, frame s, arcsec -4.0000 +1.0000 -3.0000 1 sigma +0.7500 +1.2500 +4.0000 "
+        "shared, so not independent: 2 strips and the camera's distortion "
+        f"no sign that the matrices differ: chi2 / dof 6.50 / 3, p {p[1]:.3g} "
+        "0 inputs, settings or versions differ",
+    ]
 
 
 def trend(folder: Path) -> tuple[Any, Any]:
@@ -233,6 +330,10 @@ def trend(folder: Path) -> tuple[Any, Any]:
 
 def joint_trend_t_s(utc: str) -> float:
     return (pd.Timestamp(utc) - pd.Timestamp("2000-01-01T11:59:28Z")).total_seconds() + 5.0  # 37 - 32 s
+
+
+def xyz(what: str, values: Any) -> dict[str, float]:
+    return {f"{what}_{axis}_arcsec": value for axis, value in zip("xyz", values)}
 
 
 def in_order(corners: Any) -> list[list[float]]:
@@ -536,6 +637,7 @@ CASES: dict[str, Callable[[Path], tuple[Any, Any]]] = {
     "features/exports/spice_export.py": fields_of_view,
     "features/interior/interior_files.py": interior,
     "pipeline/results/writing.py": installations,
+    "boresight/matching.py": results_shown,
 }
 
 

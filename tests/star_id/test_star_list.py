@@ -134,6 +134,9 @@ def test_errors_are_at_the_bound_and_stated_honestly_without_being_told_the_psf(
     # 3200 coordinates a flux: 1.3 % on the rms, 2.5 % on chi2 (1 sigma)
     assert (score.over_bound[bins] < 1.05 + 0.03).all()
     assert ((score.chi2[bins] > 0.9) & (score.chi2[bins] < 1.1)).all()
+    for share, left in ((0.001, 1), (0.004, 0)):  # a neighbour of 0.2 % is one too many
+        beside = [(np.vstack([xy, xy + 3.0]), np.repeat([flux, share * flux], len(xy)))]
+        assert score_centroids(parts, beside, saturation_dn=255.0).stars.sum() == left * score.stars.sum()
 
 
 def test_stars_near_the_threshold_state_honest_errors():

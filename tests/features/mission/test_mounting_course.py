@@ -1,5 +1,7 @@
 """The course of a mounting over years: terms, steps and predictions found as they are, and honest."""
 
+from types import SimpleNamespace as Of
+
 import numpy as np
 import pytest
 from drawn_campaigns import assert_chi_square, squared
@@ -14,6 +16,7 @@ from boresight.features.mission.mounting_course import (
     fit_columns,
     step_gains,
 )
+from boresight.features.mission.trends import predict
 from boresight.geometry.constants import ARCSEC, DAY_S
 
 PAIR = lopsided_pair()
@@ -108,6 +111,9 @@ def test_an_exchange_is_a_step_at_a_known_date():
     assert step.is_exchange and step.row == 12
     error = step.theta - [0.0, 2e-4, 0.0]
     assert squared(error, step.covariance) < chi2(3).ppf(0.999)
+    archived = Of(R_cs_ref=[PAIR.R_cs_ref] * 30)
+    begin_s, end_s = predict(archived, course, t_s[-1], np.full(3, 1e-4)).valid_s
+    assert 330.0 < begin_s / DAY_S <= 360.0 and end_s == t_s[-1] + 366.0 * DAY_S
 
 
 def test_what_one_side_of_an_orbit_cannot_tell_is_said():
@@ -157,10 +163,17 @@ def test_the_walk_goes_on_before_the_first_result_and_after_the_last():
     theta, covariance = course.at(at)
     np.testing.assert_array_equal(theta[[0, 3]], theta[[1, 2]])
     np.testing.assert_allclose(covariance[1], covariance[2], rtol=1e-6)  # results tell as much at either end
-    grown = course.density_rad2_s * DAY_S * np.array([3.0, 5.0])
+    day = (course.walk_arcsec * ARCSEC) ** 2 * np.eye(3)
     np.testing.assert_allclose(
-        covariance[[0, 3]] - covariance[[1, 2]], grown[:, None, None] * np.eye(3), atol=1e-9 * grown[0]
+        covariance[[0, 3]] - covariance[[1, 2]], [3.0 * day, 5.0 * day], atol=1e-9 * day[0, 0]
     )
+    # required: what is reached 7.5 days after the last result about Y, later about X; asked for after 2 days
+    now, error = t_s[-1] + 2.0 * DAY_S, lambda days: np.sqrt(np.diag(covariance[2] + days * day))
+    required = [error(9.0)[0], error(7.5)[1], np.inf]
+    found = predict(Of(R_cs_ref=[PAIR.R_cs_ref] * 20), course, now, np.array(required))
+    assert found.is_met and found.valid_s[1] == now + 5.0 * DAY_S
+    np.testing.assert_allclose(found.error_month_rad, error(32.0), rtol=1e-9)
+    assert not predict(Of(R_cs_ref=[PAIR.R_cs_ref] * 20), course, now, error(1.9)).is_met
 
 
 def test_one_result_has_no_course():

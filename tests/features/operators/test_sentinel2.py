@@ -13,7 +13,12 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from boresight.features.exports.operator_parameters import fit_correction
 from boresight.features.operators.imported_mission import write_imported
-from boresight.features.operators.sentinel2_grid import operator_orbit, operator_pushbroom, refined_camera
+from boresight.features.operators.sentinel2_grid import (
+    operator_orbit,
+    operator_pushbroom,
+    refined_attitudes,
+    refined_camera,
+)
 from boresight.features.operators.sentinel2_import import sentinel2_mission
 from boresight.features.operators.sentinel2_product import AttitudeRecord, GyroAngles, read_sentinel2
 from boresight.geometry.constants import ARCSEC, WGS84
@@ -157,8 +162,11 @@ def test_what_the_files_say_is_read(files):
     np.testing.assert_allclose(earth.ut1_utc_s, UT1_UTC[2] * ones, rtol=1e-12)
 
 
-def test_the_operator_s_homothety_scales_z_of_the_piloting_frame(files):
+def test_the_operator_s_refining_turns_and_scales_the_piloting_frame(files):
     strip = read_sentinel2(files / "S2A_OPER_MTD_L1B_DS_TEST.xml", files, "B04")
+    turned = refined_attitudes(strip).R_is.inv() * strip.corrected.R_is  # about axes of the piloting frame
+    Q = strip.refining.rotations(strip.corrected.t_s)
+    np.testing.assert_allclose(turned.as_rotvec(), Q.as_rotvec(), rtol=0, atol=1e-15)
     sample = np.array([0.0, 7.5, 23.0])
     for ccd in (0, 1):
         looks_p = strip.R_cp.inv().apply(strip.camera.directions_from_pixels(ccd, sample))

@@ -1,5 +1,6 @@
 """A row of Table 4 and a cell of the grid from rendered images."""
 
+import math
 from collections.abc import Iterator
 from functools import cache
 
@@ -11,7 +12,7 @@ from scipy.special import betainc
 from boresight.features.paper import pixels as missions
 from boresight.features.paper.comparison import compare_grid_pixels, compare_table4_pixels
 from boresight.features.paper.pixels import PixelSettings, grid_from_pixels, table4_from_pixels
-from boresight.features.paper.plots import plot_grid_pixels
+from boresight.features.paper.plots import PLOTS
 
 CELL = (0.08, 0.5)  # px, of stars and targets: a row of Table 4 and a cell of the grid share a mission
 
@@ -24,6 +25,14 @@ def rendered_once() -> Iterator[None]:
         yield
 
 
+def assert_bars_of_chance(name: str, table: pd.DataFrame, ratios: list[float], n: int) -> None:
+    """The bars of a figure are the 1-sigma of an rms of n squares, which is known to 1 / sqrt(2 n)."""
+    bars = [one for ax in PLOTS[name](table).axes for one in ax.collections]
+    for bar, ratio in zip(bars, ratios, strict=True):
+        (low, high) = bar.get_segments()[0][:, 1]
+        assert [low, high] == pytest.approx(ratio * (1.0 + np.array([-1.0, 1.0]) / math.sqrt(2 * n)))
+
+
 def test_missions_of_a_row_have_its_noise_and_errors_within_their_covariance():
     table = table4_from_pixels(PixelSettings(table4_runs=1), rows=[CELL])
     assert list(table["axis"]) == ["X", "Y", "Z"]
@@ -34,6 +43,7 @@ def test_missions_of_a_row_have_its_noise_and_errors_within_their_covariance():
     assert table["rms_arcsec"].min() > 0.0
     text = "\n".join(compare_table4_pixels(table))
     assert "0.0809 (" in text and "0.1987 (" in text and "CPU" in text
+    assert_bars_of_chance("table4-pixels", table, (table["rms_arcsec"] / table["bound_arcsec"]).tolist(), 1)
 
 
 def test_redrawn_vectors_of_a_mission_have_its_geometry_and_their_own_bound():
@@ -47,7 +57,7 @@ def test_redrawn_vectors_of_a_mission_have_its_geometry_and_their_own_bound():
     assert table["paper_arcsec"].tolist() == [0.0159, 0.0105, 0.0927] * 2
     text = "\n".join(compare_grid_pixels(table))
     assert "0.0927" in text and "F-test" in text
-    assert len(plot_grid_pixels(table).axes) == 6
+    assert len(PLOTS["grid-pixels"](table).axes) == 6
 
 
 def test_p_values_of_the_grid_have_the_degrees_of_freedom_of_its_pixels_and_of_its_vectors():
@@ -56,7 +66,9 @@ def test_p_values_of_the_grid_have_the_degrees_of_freedom_of_its_pixels_and_of_i
     rows = [(name, axis, runs, square, square) for name, runs, square in both for axis in "XYZ"]
     rest = "row_s_px row_c_px rms_arcsec bound_arcsec cpu_s paper_arcsec paper_bound_arcsec".split()
     table = pd.DataFrame(2 * rows, columns=["method", "axis", "runs", "nees", "mean_square"])
-    lines = list(compare_grid_pixels(table.assign(**dict.fromkeys(rest, 1.0))))
+    table = table.assign(**dict.fromkeys(rest, 1.0))
+    assert_bars_of_chance("grid-pixels", table, [math.sqrt(4.1)] * 6, 2 * 5)
+    lines = list(compare_grid_pixels(table))
     for name, dof, word in (("X", 1, 7), ("Y", 1, 7), ("Z", 1, 7), ("NEES", 3, -1)):
         p = float(next(line for line in lines if line.startswith(f"{name}  ")).split()[word])
         n, m = dof * 2 * 5, dof * 2 * 40

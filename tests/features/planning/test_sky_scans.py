@@ -30,9 +30,9 @@ DUMP = open_dump(MINI)
 CAMERAS = ScanCameras(line=DUMP.line_camera, star=DUMP.star_camera, R_cs=DUMP.R_cs0, orbit=DUMP.orbit)
 
 
-def chosen(*progress, **asked):
+def chosen(*progress, first_s=0.0, **asked):
     settings = ScanSettings(**({"candidates": 40, "count": 2} | asked))
-    return choose_scans(CAMERAS, all_hipparcos(), 0.0, CalibrationSettings(), settings, *progress)
+    return choose_scans(CAMERAS, all_hipparcos(), first_s, CalibrationSettings(), settings, *progress)
 
 
 @pytest.mark.parametrize("days", [-4.5, 3.2, 731.0])
@@ -85,14 +85,18 @@ def least_angles_deg(scan) -> np.ndarray:
 
 def test_scans_keep_both_cameras_away_and_beat_chance():
     told = []
-    found = chosen(lambda *one: told.append(one), sun_deg=70.0, moon_deg=30.0, earth_deg=12.0)
+    away = {"sun_deg": 70.0, "moon_deg": 30.0, "earth_deg": 12.0}
+    found = chosen(lambda *one: told.append(one), first_s=-55000.0, **away)
     assert told == [(n, 40) for n in range(1, 41)]
+    assert {scan.t_s < 0.0 for scan in found.scans} == {True, False}  # before the orbit and after it
     for scan in found.scans:
         assert np.all(scan.away_deg >= [70.0, 30.0, 12.0])
         assert np.allclose(scan.away_deg, least_angles_deg(scan), atol=0.02)  # light time, series of the Moon
     assert np.all(np.diff(found.sigma_rad, axis=0) < 0.0)  # another scan never takes information away
     look = np.array([1.0, 1.0, 0.01])
     assert look @ found.sigma_rad[-1] ** 2 < 0.8 * look @ found.random_sigma_rad**2
+    told = scan_files.scan_lines(found, DUMP.epoch)[-1]  # as many at random
+    assert np.radians(np.array(numbers(told)) / 3600.0) == pytest.approx(found.random_sigma_rad, abs=2.6e-9)
 
 
 def test_a_head_that_delivers_attitudes_counts_by_their_covariance():

@@ -103,7 +103,7 @@ def test_the_filter_of_known_motion_states_its_errors() -> None:
     """Monte Carlo without images: accelerations, drifts of the focal length and measurement errors are drawn
     as the filter assumes."""
     rng, sigma, push, dt = np.random.default_rng(3), np.array([1.0, 1.0, 8.0]) * ARCSEC, 2e-4, 0.1
-    focal_error, focal_drift, scale_sigma, squares = 1e-3, 1e-5, 2e-5, []
+    focal_error, focal_drift, scale_sigma, squares = 1e-3, 1e-4, 2e-5, []
     for _ in range(100):
         R, rate = Rotation.random(random_state=rng), rng.normal(size=3) * 0.01
         scale = focal_error * rng.normal()

@@ -330,11 +330,15 @@ def test_what_is_said_of_times_and_places_must_be_whole(folder, tmp_path):
     assert isinstance(done.exception, RawDataError) and "--times" in str(done.exception)
 
 
-def test_a_star_camera_is_calibrated_by_the_exposures_of_a_dump(tmp_path):
+def test_a_star_camera_is_calibrated_by_the_exposures_of_a_dump(tmp_path, monkeypatch):
+    find, full_dn = star_camera_report.list_stars, set()
+    monkeypatch.setattr(
+        star_camera_report, "list_stars", lambda image, of: full_dn.add(of.saturation_dn) or find(image, of)
+    )
     report = tmp_path / "report.json"
     files = ("--out", tmp_path / "camera.toml", "--report", report)
     done = run("star-camera-calibrate", MINI, "--drift", *files)
-    assert done.exit_code == 0, done.output
+    assert done.exit_code == 0 and full_dn == {255.0}, done.output  # 8 bits
     content = json.loads(report.read_text())
     # rendered with 0.1 m, the principal point (512, 384), and Table 2's distortion, which has no q3
     truth = np.array([0.1, 512.0, 384.0, 2.29e-5, -2.96e-5, -9.30e-7, -4.25e-9])

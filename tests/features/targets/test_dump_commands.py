@@ -4,11 +4,13 @@ import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import app, invoked
 from edits import replaced
 from typer.testing import CliRunner
 
+from boresight.features.targets.dump_check import DumpCheck, TargetCheck, _of_cameras
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import dump_or_faults
 from boresight.pipeline.files.dump_schema import DumpFile, InstallationFile, StarCameraFile
@@ -120,3 +122,34 @@ def test_a_sound_dump_shows_footprints_and_the_nearest_miss_of_every_target(
     assert 40e3 < far["along_m"] < 56e3 and far["along_s"] == pytest.approx(far["along_m"] / 7e3, rel=0.05)
     assert sum(one["seen_by"] == ["s01"] for one in others) >= 8
     assert "<svg" in page.read_text() and not re.search(r"https?://(?!www.w3.org)", page.read_text())
+    next((one_strip / "exposures").glob("*.png")).unlink()
+    status, text = run("dump", "check", one_strip)
+    assert status == 1 and "no such file" in text
+
+
+def test_of_several_cameras_each_target_is_that_of_the_one_that_sees_it_best() -> None:
+    # m, by how far it misses the strips of either camera; 0: in view, None: there is no strip
+    off_m = {"a": (0.0, 900.0), "b": (700.0, 0.0), "c": (300.0, 200.0), "d": (None, 5.0), "e": (0.0, 0.0)}
+    views = []
+    for n, camera in enumerate(("nadir", "aft")):
+        targets = tuple(
+            TargetCheck(
+                target_id=name,
+                lon_lat_deg=np.zeros(2),
+                seen_by=(camera,) * (m[n] == 0.0),
+                nearest=camera if m[n] else "",
+                **dict(zip(("across_m", "along_m", "along_s"), np.array([0.6, -0.8, 1e-4]) * (m[n] or 0.0))),
+            )
+            for name, m in off_m.items()
+        )
+        facts = {"facts": ("both", camera), "sky_strips": n + 1, "footprints": {camera: np.zeros((4, 2))}}
+        views.append(DumpCheck(root="", faults=(), omissions=(), targets=targets, **facts))
+    both = _of_cameras(views)
+    assert both.facts == ("both", "nadir", "aft") and both.sky_strips == 3 and len(both.footprints) == 2
+    assert [(one.target_id, one.seen_by, one.nearest, one.along_m) for one in both.targets] == [
+        ("c", (), "aft", -160.0),
+        ("d", (), "aft", -4.0),
+        ("a", ("nadir",), "", 0.0),
+        ("b", ("aft",), "", 0.0),
+        ("e", ("nadir", "aft"), "", 0.0),
+    ]

@@ -65,7 +65,9 @@ def dumps(made_once) -> list[Path]:
         changes = ["strips.count=1", "strips.lines=1000", "strips.only_around_targets_px=60.0"]
         changes += ["targets.per_strip=12", 'epoch_utc="2025-01-15T03:40:00"']
         options = [part for change in changes for part in ("--set", change)]
-        said("simulate", "mini", folder / NAMES[2], "--seed", 2, *options)
+        told = said("simulate", "mini", folder / NAMES[2], "--seed", 2, *options)
+        size = sum(file.stat().st_size for file in (folder / NAMES[2]).rglob("*") if file.is_file())
+        assert f" {size / 1e6:.1f} MB in " in told
         # the same cameras to the last digit, which another processor rounds otherwise
         for camera in ("remote_camera.toml", "star_camera.toml"):
             shutil.copy(folder / NAMES[0] / camera, folder / NAMES[2] / camera)

@@ -72,6 +72,14 @@ FREE_BECAUSE = {
 }
 FREE = {tuple(one.rsplit(" ", 1)) for words in FREE_BECAUSE.values() for one in words.split(", ")}
 SETTINGS = ("simulate", "--set")
+# Numbers without a least value: signed ones, and those of which the command itself says what it expects.
+WITHOUT_LEAST = (
+    "identify --site, star-camera-calibrate --site, targets suggest --bbox, targets suggest --height-m, "
+    "import points --height-m, dimap --height-m, virtual-ccd --height-m, geolocate --height-m, "
+    "sky-strip-plan --v-mag, star-camera-plan --limit-mag, export --spice-spacecraft, identify --fov, "
+    "star-camera-plan --fov, star-camera-calibrate --fov, identify --size, star-camera-plan --size, "
+    "identify --interval, identify --exposure"
+)
 
 
 def offered(*words: str) -> list[str]:
@@ -154,15 +162,28 @@ def test_every_value_of_every_command_is_a_file_a_number_a_free_word_or_offered(
             assert answers(*words, "no-such-word") == [], told
         elif (command, name) != SETTINGS:  # tested by itself
             words += [name] if name.startswith("-") else ["x"] * (name == "out")
-            is_left_to_the_shell = types_of(one) <= {Path} or types_of(one) <= {int, float}
+            is_left_to_the_shell = types_of(one) <= {Path} or is_number(one)
             assert is_left_to_the_shell != ((command, name) in FREE), f"{told} offers nothing"
             assert answers(*words, "") == [], told
+
+
+def is_number(one: object) -> bool:
+    """Whether a parameter's value is a number, or some of them."""
+    return types_of(one) <= {int, float}
 
 
 def types_of(one: object) -> set[type]:
     """Types of a parameter's value, or of the values of a list or tuple."""
     annotation = one.type_descriptor.annotation
     return set(get_args(annotation) or (annotation,))
+
+
+def test_every_number_of_an_option_has_a_least_value() -> None:
+    numbers = {
+        f"{command} {name}": one.type_descriptor for (command, name), one in parameters() if is_number(one)
+    }
+    without = {name for name, of in numbers.items() if of.parameter_info.min is None}
+    assert without == set(WITHOUT_LEAST.split(", "))
 
 
 def test_all_commands_and_their_options_are_offered() -> None:

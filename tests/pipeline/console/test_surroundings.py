@@ -10,23 +10,45 @@ import pytest
 from command_line import ended
 from fixture_strips import begun
 
+from boresight.console import begin
 from boresight.pipeline.console.messages import say, tell
 from boresight.pipeline.console.program import errors_reported
 from boresight.pipeline.console.progress import progress_bars
+from boresight.version import __version__
 
 NO_TEXT = os.fsdecode(b"n\xf6t text")
 
 
-def test_closed_streams_and_a_backend_that_is_none_are_no_obstacle(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "boresight", "trends", "none", "--out", str(tmp_path / "trends")]
+@pytest.mark.parametrize(
+    ("words", "told"), [("trends none --out", "no such file"), ("dump init --ask", "Aborted!")]
+)
+def test_closed_streams_and_a_backend_that_is_none_are_no_obstacle(words, told, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "boresight", *words.split(), str(tmp_path / "out")]
     done = subprocess.run(
         ["bash", "-c", 'exec "$@" <&- >&-', "bash", *command],
         env=os.environ | {"MPLBACKEND": "nonsense"},
         stderr=subprocess.PIPE,
         text=True,
     )
-    assert done.returncode == 1 and "no such file" in done.stderr, done.stderr
+    assert done.returncode == 1 and told in done.stderr, done.stderr
     assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "is_terminal", "is_told"),
+    [
+        ("status out", True, True),
+        ("status out", False, False),
+        *((f"status out {word}", True, False) for word in ("--quiet", "-q", "--json", "--help", "-h")),
+        ("--version", True, False),
+        ("", True, False),
+    ],
+)
+def test_a_terminal_alone_is_told_at_once_what_begins(words, is_terminal, is_told, monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: is_terminal)
+    begin(words.split())
+    told = capsys.readouterr()
+    assert told.out == "" and told.err == f"boresight {__version__}: status ...\n" * is_told
 
 
 @pytest.mark.parametrize("name", ["stdout", "stderr"])

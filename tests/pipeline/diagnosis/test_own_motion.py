@@ -26,6 +26,7 @@ HEAD = SimpleNamespace(
     noise=None,
     noise_is_assumed=False,
     R_cs0=Rotation.identity(),
+    sigma_installation_rad=0.0,
     gyro=None,
     times_in=("exposures.csv", "utc_mid"),
 )
@@ -41,13 +42,18 @@ def attitudes(seed: int, sigma_arcsec: float = 4.0, turn_s: float | None = None)
     return noise * MOUNTING * Rotation.from_rotvec(np.outer(turned, rate)) * ORBIT.R_oi(TIMES_S)
 
 
-def findings(R_si: Rotation, usable: np.ndarray | None = None, sigma_rad: float = 4.0 * ARCSEC):
+def findings(R_si: Rotation, usable: np.ndarray | None = None, sigma_rad: float = 4.0 * ARCSEC, beside=None):
     stars = tuple(exposure_without_stars(name, t) for name, t in zip(NAMES, TIMES_S.tolist()))
     solved = solved_attitudes(R_si, np.tile(sigma_rad**2 * np.eye(3), (N, 1, 1)))
     if usable is not None:
         solved = replace(solved, usable=usable)
-    head = HeadSightings(head=HEAD, stars=stars, attitudes=solved, omissions=())
-    return against_own_motion([head])
+    heads = [HeadSightings(head=HEAD, stars=stars, attitudes=solved, omissions=())]
+    if beside is not None:  # attitudes of a second head
+        solved = solved_attitudes(beside, solved.covariance_s)
+        heads.append(
+            replace(heads[0], head=SimpleNamespace(**vars(HEAD) | {"name": "STR8"}), attitudes=solved)
+        )
+    return against_own_motion(heads)
 
 
 def in_place(**files: int) -> np.ndarray:
@@ -89,6 +95,11 @@ def test_one_wrong_attitude_is_named_alone(wrong):
     (told,) = findings(Rotation.from_matrix(R_si))
     assert told.item == f"exposure {NAMES[wrong]}"
     assert told.text.startswith("off the motion")
+    sound = attitudes(2)
+    R_si[wrong] = R_si[wrong] @ Rotation.from_rotvec([0.6, 1.2, -0.6]).as_matrix()
+    (told,) = findings(Rotation.from_matrix(R_si), beside=sound)  # by 84°; all other rows fit both heads
+    assert told.item == f"exposure {NAMES[wrong]}"
+    assert findings(Rotation.from_matrix(R_si), beside=Rotation.from_rotvec([0.6, 1.2, -0.6]) * sound) == []
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -286,7 +297,7 @@ def test_attitudes_that_lag_behind_the_gyro_are_named_with_their_lag(seed, late_
 def test_a_gyro_from_which_two_heads_differ_alike_is_dated_late_or_early_by_as_much(late_s):
     one = record_of(1, 0.061, **FAST)
     gyro = replace(one.head.gyro, t_s=one.head.gyro.t_s + late_s)
-    own = vars(one.head) | {"gyro": gyro, "sigma_installation_rad": 0.0}
+    own = vars(one.head) | {"gyro": gyro}
     heads = [replace(one, head=SimpleNamespace(**own | {"name": name})) for name in ("STR7", "STR8")]
     (told,) = against_own_motion(heads)
     assert (told.cause, told.field, told.unit) == ("times of a gyro", "gyro.file", "ms")

@@ -98,7 +98,12 @@ def sigma(found: DumpCalibration) -> np.ndarray:
 
 
 def test_a_gyro_makes_the_matrix_better_and_its_covariance_holds(flight: Flight) -> None:
-    without, found = calibrate_dump(flight.with_gyro(None)), calibrate_dump(flight.with_gyro(R_GS.inv()))
+    without, dump = calibrate_dump(flight.with_gyro(None)), flight.with_gyro(R_GS.inv())
+    assert [head.gyro is None for head in dump.heads] == [
+        False,
+        True,
+    ]  # it has the axes of the reference head
+    found = calibrate_dump(dump)
     assert found.verdict.outcome is Outcome.CONSISTENT
     error = theta_between(found.estimate.R_cs, flight.R_cs)
     assert error @ np.linalg.solve(found.estimate.cov_theta, error) < chi2(df=3).ppf(0.999)

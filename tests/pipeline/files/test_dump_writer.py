@@ -2,12 +2,15 @@
 
 import tomllib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from edits import rows_of
 
-from boresight.geometry.constants import ARCSEC
+from boresight.geometry.constants import ARCSEC, WGS84
+from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import Errors
 from boresight.pipeline.files.dump_writer import Rendered, write_dump
@@ -35,6 +38,8 @@ SMALL = (
 def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Mission, Path, Dump]:
     root = tmp_path_factory.mktemp("written") / "dump"
     mission = fly(named_scenario("mini", SMALL), 3)
+    targets = tuple(replace(one, sigma_m=(0.4, 0.7, 1.1 + n)) for n, one in enumerate(mission.targets))
+    mission = replace(mission, targets=targets)
     write_dump(mission, root, created_by="a test")
     return mission, root, open_dump(root)
 
@@ -90,11 +95,25 @@ def test_pixels_come_back_as_rendered(flown: tuple[Mission, Path, Dump]) -> None
     strip = next(s for s in mission.strips if s.ccd == 2)
     assert np.array_equal(dump.strips[0].images.read(2, 0, 300, 0, 512), np.vstack(list(strip.blocks(128))))
     assert dump.omissions == ()
-    assert [t.target_id for t in dump.targets] == [t.target_id for t in mission.targets]
+    for target, of in zip(dump.targets, mission.targets, strict=True):
+        assert (target.target_id, *target.sigma_m) == (of.target_id, *of.sigma_m)
+        lat_lon = np.degrees(geodetic_from_ecef(target.p_e[None], WGS84)[:2]).ravel()
+        assert lat_lon == pytest.approx([of.lat_deg, of.lon_deg], abs=1e-9)
 
 
 def test_truth_is_in_its_folder_and_nowhere_else(flown: tuple[Mission, Path, Dump]) -> None:
     mission, root, _ = flown
+    for name, points in (("check_points", mission.truth.check_points), ("targets", mission.truth.targets)):
+        for row, p in zip(rows_of(root / "truth" / f"{name}.csv"), points, strict=True):
+            right = {"ccd": p.ccd, "sample": p.sample, "line": p.line, "height_m": p.height_ellipsoidal_m}
+            right |= {"lat_deg": p.lat_deg, "lon_deg": p.lon_deg}
+            assert {key: float(row[key]) for key in right} == pytest.approx(right, abs=1e-5)
+            assert (row["id"], row["strip"]) == (p.point_id, p.strip_id)
+    for row, strip in zip(rows_of(root / "truth" / "strips.csv"), mission.truth.strips, strict=True):
+        assert list(row.values()) == [
+            strip.strip_id,
+            *map(repr, (strip.clock_offset_s, *strip.position_error_m.tolist())),
+        ]
     truth = tomllib.loads((root / "truth" / "installation.toml").read_text())
     assert np.allclose(truth["theta_rad"], mission.truth.theta_rad)
     number = f"{truth['quaternion_cs'][0]:.12f}"

@@ -50,7 +50,19 @@ def test_rates_and_angles_in_any_unit_turn_the_star_camera(tmp_path) -> None:
     for one in records:
         assert ((one.R_sz[20] * one.R_sz[0].inv()) * expected.inv()).magnitude() < 1e-9
         np.testing.assert_allclose(one.t_s, STEP_S * np.arange(21), atol=1e-6)
-    assert records[0].noise.random_walk_rad == pytest.approx(0.02 * ARCSEC)
+    # what is not stated: a free bias, 1e-3 rad/s, and a resolution of a tenth of the walk over a step
+    fine = record_of(tmp_path, rates, white_arcsec=0.5, bias_arcsec_s=30.0)
+    for one, rest in (
+        (records[0], (1e-3, 0.1 * 0.02 * ARCSEC * np.sqrt(STEP_S))),
+        (fine, (30 * ARCSEC, 0.5 * ARCSEC)),
+    ):
+        sizes = (
+            one.noise.random_walk_rad,
+            one.noise.bias_walk_rad_s,
+            one.noise.bias_rad_s,
+            one.noise.white_rad,
+        )
+        assert sizes == pytest.approx((0.02 * ARCSEC, 1e-3 * ARCSEC, *rest))
 
 
 def test_rows_around_attitudes_have_no_gap(tmp_path) -> None:

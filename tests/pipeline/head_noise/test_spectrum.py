@@ -162,7 +162,7 @@ def test_attitudes_between_instants_are_carried_by_the_smoothed_motion() -> None
 
 
 def test_pieces_begin_at_the_first_row_after_a_gap() -> None:
-    step, pieces = pieces_of(np.r_[0.0:10.0, 14.0:20.0, 26.0:29.0] * 0.25)
+    step, pieces = pieces_of(np.r_[0.0:10.0, 11.0:17.0, 23.0:26.0] * 0.25)  # a row is missing, and six
     assert step == 0.25 and pieces == (slice(0, 10), slice(10, 16), slice(16, 19))
 
 

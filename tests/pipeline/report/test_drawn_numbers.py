@@ -106,6 +106,14 @@ def test_numbers_of_an_axis_are_round_and_are_those_of_their_places(low, high, i
     assert found == texts
 
 
+def test_an_axis_holds_its_values_and_one_with_equal_ratios_those_above_zero() -> None:
+    values = [-2.0, 0.0, 1e-3, 5.0, np.nan, np.inf]
+    even, log = (Axis.over("x", values, is_log=is_log) for is_log in (False, True))
+    assert -2.5 < even.low < -2.0 and 5.0 < even.high < 5.5
+    assert 0.5e-3 < log.low < 1e-3 and 5.0 < log.high < 10.0
+    np.testing.assert_allclose(log.shares([log.low, np.sqrt(log.low * log.high), log.high]), [0.0, 0.5, 1.0])
+
+
 def test_the_scales_of_the_map_are_those_of_its_places_and_arrows() -> None:
     east, north = [100.0, 8100.0, 100.0], [200.0, 200.0, 6200.0]
     toward = [[3.0, 4.0], [0.0, 2.5], [-1.0, 0.0]]  # m east and north

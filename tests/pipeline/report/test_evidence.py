@@ -4,6 +4,7 @@ import hashlib
 import json
 import pickle
 from dataclasses import replace
+from types import SimpleNamespace as Of
 
 import cv2
 import numpy as np
@@ -15,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.sightings import StarSightings, isotropic_covariance
 from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.report import evidence
 from boresight.pipeline.report.evidence import write_evidence
 from boresight.pipeline.report.star_preview import star_preview
 from boresight.pipeline.results.angles import MeasuredStrip, cross_angles
@@ -36,6 +38,22 @@ def test_convergence_ends_at_the_result(finished):
     assert steps[-1]["sigma_rad"] == approx(sigma, rel=1e-6)
     assert np.abs(steps[-1]["theta_rad"]).max() < 0.02 * sigma.max()  # about the last iteration's matrix
     assert (steps[-1]["frames"], steps[-1]["targets"]) == (installation["frames"], installation["targets"])
+
+
+def test_convergence_knows_nothing_while_one_axis_is_not_observable(monkeypatch):
+    F = np.array([np.diag([1.0, 4.0, 0.0]), np.diag([3.0, 12.0, 25.0])]) * 1e10
+    pairs = Of(names=np.array(["a", "b"]), F=F, F_theta=np.einsum("kij,j->ki", F, [3e-6, -2e-6, 1e-6]))
+    strips = [
+        Of(strip_id=name, exposures=[0] * n, ground=Of(target_id="xyz")) for n, name in enumerate("ab", 4)
+    ]
+    of = {"estimate": Of(pairs=pairs, prior_shared=np.zeros((0, 0))), "settings": CalibrationSettings()}
+    monkeypatch.setattr(evidence, "passes_of", lambda strips, _: strips)
+    first, last = evidence._convergence(Of(strips=strips, **of)).to_pylist()
+    assert np.isnan(first["theta_rad"]).all() and np.isinf(first["sigma_rad"]).all()
+    assert last["theta_rad"] == approx([3e-6, -2e-6, 1e-6]) and last["sigma_rad"] == approx(
+        [5e-6, 2.5e-6, 2e-6]
+    )
+    assert [(one["frames"], one["targets"]) for one in (first, last)] == [(4, 3), (9, 6)]
 
 
 class OtherMachines:
