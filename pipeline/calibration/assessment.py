@@ -43,6 +43,7 @@ from boresight.pipeline.diagnosis.readings import (
     exchanged_in_ground,
     exchanged_in_sky,
     exchanged_strips,
+    reversed_in_ground,
     strips_without_stars,
 )
 from boresight.pipeline.diagnosis.suspects import MeasuredTargets, single_targets
@@ -163,6 +164,7 @@ def _explanations(
     strips = [*(task.strip for task in last.tasks), *(task.strip for task in last.sky.tasks)]
     images = {strip.strip_id: strip.images for strip in strips}
     strips_exchanged = list(exchanged_strips(last.tasks, last.matched))
+    strips_exchanged = strips_exchanged or list(reversed_in_ground(last.tasks, last.matched))
     exchanged = [
         *strips_exchanged,
         *exchanged_in_ground(last.tasks, last.matched, targets),
