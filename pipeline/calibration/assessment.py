@@ -100,7 +100,11 @@ def assessed(
         explanations = [one for one in explanations if one.refutes and one.subjects]
         explanations = [one for one in explanations if all(it.kind is Kind.CCD for it in one.subjects)]
     lost = {subject.strip for one in explanations for subject in one.subjects}
-    if (noise := reliability.scatter) and {one.strip for one in noise.subjects} & lost - {""}:
+    of_stars = [
+        it for it in verdict.refuted_by if it.kind in (CheckKind.STAR_RESIDUALS, CheckKind.STARS_REJECTED)
+    ]
+    noise = reliability.scatter  # where stars or strips are wrong, points scatter as a consequence
+    if noise and (of_stars or {one.strip for one in noise.subjects} & lost - {""}):
         verdict = replace(verdict, findings=tuple(one for one in verdict.findings if one is not noise))
     findings = [
         *explanations,

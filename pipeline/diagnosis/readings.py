@@ -107,7 +107,7 @@ def readings_of_dump(dump: Dump) -> Iterator[Reading[Dump]]:
     """Every other reading of the tables of a dump alone, the commonest mistakes first."""
     for head in dump.heads:
         words, subjects = head.subject.words, (head.subject,)
-        rows = OF_HEADS if isinstance(head.source, SolvedAttitudes) else OF_HEADS[:2]
+        rows = OF_HEADS if isinstance(head.source, SolvedAttitudes) else OF_HEADS[:3]
         for cause, changed, file, field, changed_head, R_meant in rows:
             apply = partial(_with_head, head.name, partial(changed_head, R_meant))
             yield Reading(cause, words, subjects, file.format(head), field, changed, apply)
@@ -215,6 +215,10 @@ def _scalar_first(stated: Rotation) -> Rotation:
     return Rotation.from_quat(np.roll(stated.as_quat(), -1, axis=-1))
 
 
+def _upside_down(stated: Rotation) -> Rotation:
+    return stated * Rotation.from_rotvec([0.0, 0.0, np.pi])
+
+
 def _inverse_scalar_first(stated: Rotation) -> Rotation:
     """The same where the file states the inverse."""
     return _scalar_first(stated.inv()).inv()
@@ -228,6 +232,7 @@ ORDER = "order of the quaternions' components", "with the scalar first", "{0.sou
 OF_HEADS: tuple[tuple[str, str, str, str, Callable[[Turn, Head], Head], Turn], ...] = (
     ("sense of the installation matrix", "inverted,", *MOUNTING, Rotation.inv),
     ("order of the quaternion's components", "with the scalar first", *MOUNTING, _scalar_first),
+    ("axes of the star images", "turned by 180°", "exposures.csv", "file", _mounted, _upside_down),
     (*SENSE, "dump.toml", "star_cameras.rotation", _turned, Rotation.inv),
     (*ORDER, _turned, _inverse_scalar_first),
     (*ORDER, _turned, _scalar_first),
