@@ -84,8 +84,12 @@ def what_is_missing(
     if stars := [entry for entry in every if entry.subject.kind is Kind.STAR]:
         counts = f"{n_stars} exposures identified, strips of the sky: {len(dump.sky_strips)}"
         return f"{outcome.reason}; {counts}{_unused_stars(stars)}"
-    first = f"; not used: {every[0].line}" if every else ""
-    return f"{outcome.reason}; {counts}{first}"
+    first, reason = f"; not used: {every[0].line}" if every else "", outcome.reason
+    if n_targets == 0 and lost:
+        reason = (
+            "no target is found within 3 sigma_rad of the pre-launch matrix: check these, chips and images"
+        )
+    return f"{reason}; {counts}{first}"
 
 
 def _unused_stars(stars: Sequence[Entry]) -> str:

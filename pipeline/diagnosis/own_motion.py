@@ -135,11 +135,13 @@ class Attitudes:
         the attitudes scatter as the stars change.
         """
         of, limits = self.head.attitudes, VerdictSettings()
-        n = len(of.kept)
-        rejected, chi2 = n - int(of.kept.sum()), float(of.chi2[of.usable].sum())
-        p_share = float(bdtrc(rejected - 1, n, limits.share_stars_rejected)) if rejected else 1.0
-        p_residual = chdtrc(float(of.dof[of.usable].sum()), chi2 / limits.sigma_understated**2)
-        return not self.is_solved and n > 0 and bool(np.log(max(min(p_share, p_residual), 1e-300)) < -CERTAIN)
+        n, lost = len(of.kept), int(np.sum(~of.kept))
+        chi2, dof = of.chi2[of.usable].sum(), of.dof[of.usable].sum()
+        p_value = min(
+            bdtrc(lost - 1, n, limits.share_stars_rejected) if lost else 1.0,
+            chdtrc(dof, chi2 / limits.sigma_understated**2),
+        )
+        return not self.is_solved and n > 0 and bool(p_value < np.exp(-CERTAIN))
 
     @property
     def what(self) -> str:

@@ -107,7 +107,7 @@ def readings_of_dump(dump: Dump) -> Iterator[Reading[Dump]]:
     """Every other reading of the tables of a dump alone, the commonest mistakes first."""
     for head in dump.heads:
         words, subjects = head.subject.words, (head.subject,)
-        rows = OF_HEADS if isinstance(head.source, SolvedAttitudes) else OF_HEADS[:3]
+        rows = OF_HEADS[1:] if isinstance(head.source, SolvedAttitudes) else OF_HEADS[:3]
         for cause, changed, file, field, changed_head, R_meant in rows:
             apply = partial(_with_head, head.name, partial(changed_head, R_meant))
             yield Reading(cause, words, subjects, file.format(head), field, changed, apply)
@@ -215,24 +215,21 @@ def _scalar_first(stated: Rotation) -> Rotation:
     return Rotation.from_quat(np.roll(stated.as_quat(), -1, axis=-1))
 
 
-def _upside_down(stated: Rotation) -> Rotation:
-    return stated * Rotation.from_rotvec([0.0, 0.0, np.pi])
-
-
 def _inverse_scalar_first(stated: Rotation) -> Rotation:
     """The same where the file states the inverse."""
     return _scalar_first(stated.inv()).inv()
 
 
-# Of a head, first its installation file, then attitudes that it has solved: cause, words, file, field, what
-# is changed, and the rotation that was meant.
+# Of a head: its images, its installation file, then attitudes that it has solved: cause, words, file, field,
+# what is changed, and the rotation that was meant.
 MOUNTING = "the installation file of {0.name}", "quaternion_cs", _mounted
+HALF_TURN = Rotation.from_rotvec([0.0, 0.0, np.pi])
 SENSE = "sense of the attitudes' rotation", "with the quaternions conjugated"
 ORDER = "order of the quaternions' components", "with the scalar first", "{0.source.file}", "qx, qy, qz, qw"
 OF_HEADS: tuple[tuple[str, str, str, str, Callable[[Turn, Head], Head], Turn], ...] = (
+    ("axes of the star images", "turned by 180°", "exposures.csv", "file", _mounted, lambda R: R * HALF_TURN),
     ("sense of the installation matrix", "inverted,", *MOUNTING, Rotation.inv),
     ("order of the quaternion's components", "with the scalar first", *MOUNTING, _scalar_first),
-    ("axes of the star images", "turned by 180°", "exposures.csv", "file", _mounted, _upside_down),
     (*SENSE, "dump.toml", "star_cameras.rotation", _turned, Rotation.inv),
     (*ORDER, _turned, _inverse_scalar_first),
     (*ORDER, _turned, _scalar_first),
@@ -364,19 +361,16 @@ class ReversedFiles(StripFiles):
 
     def read(self, ccd: int, line0: int, line1: int, sample0: int, sample1: int) -> Image:
         """Raw counts of a window, as `StripFiles`."""
-        window = (line0, line1), (sample0, sample1)
-        inside = [
-            (a, b) if step > 0 else (n - b, n - a)
-            for (a, b), n, step in zip(window, self.shapes[ccd], self.steps)
-        ]
-        return StripFiles.read(self, ccd, *inside[0], *inside[1])[:: self.steps[0], :: self.steps[1]]
+        of = zip((line0, sample0), (line1, sample1), self.shapes[ccd], self.steps)
+        lines, samples = [(a, b) if step > 0 else (n - b, n - a) for a, b, n, step in of]
+        return StripFiles.read(self, ccd, *lines, *samples)[:: self.steps[0], :: self.steps[1]]
 
 
 def reversed_in_ground(tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]) -> Iterator[Finding]:
     """Strips of the ground of which nothing matches, but with the pixels of their images in another order."""
     for task, n in _unmatched(tasks, matched)[:MOST_TRIED]:
-        strip, found = task.strip, partial(_matches, (task,))
-        yield from _told((strip.images,), _orders(strip, _with_steps, STEPS), found, n, "targets")
+        of, found = (task.strip.images,), partial(_matches, (task,))
+        yield from _told(of, _orders(task.strip, _with_steps, STEPS), found, n, "targets")
 
 
 def _with_steps(steps: tuple[int, int], images: tuple[StripFiles]) -> tuple[StripFiles]:
