@@ -246,7 +246,9 @@ def _by_precession(years: float, ground: GroundSightings) -> Floats:
 def _of_ground(dump: Dump, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
     """Effects on light from the ground, modelled and not, and heights in another unit."""
     moves = [{one.strip_id: one.ground.light_i[:, :, n] for one in strips} for n in range(len(EFFECTS) + 1)]
-    terrain = dump.terrain.files if isinstance(dump.terrain, TerrainFiles) else ()  # on which chips lie
+    terrain = (
+        dump.terrain.files if dump.targets and isinstance(dump.terrain, TerrainFiles) else ()
+    )  # of chips
     for key, directions in zip(EFFECTS, moves):
         yield MovedInput(
             cause=f"light of the targets, {key.replace('_', ' ')}",
