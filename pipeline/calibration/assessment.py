@@ -43,6 +43,7 @@ from boresight.pipeline.diagnosis.readings import (
     exchanged_in_ground,
     exchanged_in_sky,
     exchanged_strips,
+    reversed_in_ground,
     strips_without_stars,
 )
 from boresight.pipeline.diagnosis.suspects import MeasuredTargets, single_targets
@@ -99,7 +100,11 @@ def assessed(
         explanations = [one for one in explanations if one.refutes and one.subjects]
         explanations = [one for one in explanations if all(it.kind is Kind.CCD for it in one.subjects)]
     lost = {subject.strip for one in explanations for subject in one.subjects}
-    if (noise := reliability.scatter) and {one.strip for one in noise.subjects} & lost - {""}:
+    of_stars = [
+        it for it in verdict.refuted_by if it.kind in (CheckKind.STAR_RESIDUALS, CheckKind.STARS_REJECTED)
+    ]
+    noise = reliability.scatter  # where stars or strips are wrong, points scatter as a consequence
+    if noise and (of_stars or {one.strip for one in noise.subjects} & lost - {""}):
         verdict = replace(verdict, findings=tuple(one for one in verdict.findings if one is not noise))
     findings = [
         *explanations,
@@ -163,6 +168,7 @@ def _explanations(
     strips = [*(task.strip for task in last.tasks), *(task.strip for task in last.sky.tasks)]
     images = {strip.strip_id: strip.images for strip in strips}
     strips_exchanged = list(exchanged_strips(last.tasks, last.matched))
+    strips_exchanged = strips_exchanged or list(reversed_in_ground(last.tasks, last.matched))
     exchanged = [
         *strips_exchanged,
         *exchanged_in_ground(last.tasks, last.matched, targets),

@@ -20,6 +20,7 @@ from boresight.calib.estimate import InstallationEstimate, NotObservable
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.diagnosis.input_findings import shifted_chips
 from boresight.pipeline.diagnosis.missing import cause_of_no_result, what_is_missing
+from boresight.pipeline.diagnosis.unused_rows import unseen_targets
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.run.cached import StageRunner
 from boresight.pipeline.run.settings import Settings
@@ -186,8 +187,8 @@ def _one_round(
         known_so_far = [*unused_so_far(basis, sky), *uncovered, *unnamed]
         text = what_is_missing(estimate, basis, tasks, matched, known_so_far)
         seen = strips or (before.strips if before else ())  # names that the strips together took away
-        shifted = next(shifted_chips(dump, unmatched), None)
-        if cause := shifted or cause_of_no_result(basis, sky, seen):
+        shifted = next(shifted_chips(dump, [*unmatched, *unseen_targets(dump, tasks, matched)]), None)
+        if cause := shifted or cause_of_no_result(basis, sky, seen, tasks, matched):
             text = f"{cause.cause}, {cause.item}: {cause.text} Otherwise: {text}"
         raise DataNotSufficientError(text, [*known_so_far, *unmatched])
     without_targets = [

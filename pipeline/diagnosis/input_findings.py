@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
 import numpy as np
@@ -200,24 +200,30 @@ def nearest_miss(
 
 
 def shifted_chips(dump: Dump, entries: Sequence[Entry]) -> Iterator[Finding]:
-    """That the coordinates of most targets lie as far outside their chips, in the same direction."""
-    outside = {entry.subject.id for entry in entries if entry.reason is Reason.OUTSIDE_CHIP}
+    """That the coordinates of most targets lie outside their chips: all as far in one direction, or by the
+    same slip.
+    """
+    outside = {entry.subject.id: entry.slip for entry in entries if entry.reason is Reason.OUTSIDE_CHIP}
     pairs = [pair for pair in zip(dump.targets, dump.chips) if pair[0].target_id in outside]
     if len(pairs) <= max(FEWEST, len(dump.targets) // 2):
         return
     off_m = np.array([off_middle_m(*pair) for pair in pairs[:MOST_CHIPS]])
     middle_m = np.nanmedian(off_m, axis=0)
     apart_m = float(np.nanmedian(np.hypot(*(off_m - middle_m).T)))
-    if apart_m < ALIKE * float(np.hypot(*middle_m)):
-        yield Finding(
-            cause="common shift of coordinates or chips",
-            item=f"{len(pairs)} of {len(dump.targets)} targets",
-            text=f"they lie {compass(*middle_m.tolist())} of the middle of their chips: check datum and "
-            "geo-reference of the chips, lat_deg, lon_deg in targets.csv.",
-            file="targets.csv",
-            field="lat_deg, lon_deg, chip",
-            subjects=tuple(Subject(Kind.TARGET, id=target.target_id) for target, _ in pairs),
-        )
+    slip, n = Counter(outside.values()).most_common(1)[0]
+    where = "lie outside their chips"
+    if slip and "digit" not in slip and 2 * n > len(outside):  # nobody mistypes the same digit of most
+        where = f"would lie in their chips with {slip}"
+    elif apart_m < ALIKE * float(np.hypot(*middle_m)):
+        where = f"lie {compass(*middle_m.tolist())} of the middle of their chips"
+    yield Finding(
+        cause="common shift of coordinates or chips",
+        item=f"{len(pairs)} of {len(dump.targets)} targets",
+        text=f"they {where}: check datum and geo-reference of the chips, lat_deg, lon_deg in targets.csv.",
+        file="targets.csv",
+        field="lat_deg, lon_deg, chip",
+        subjects=tuple(Subject(Kind.TARGET, id=target.target_id) for target, _ in pairs),
+    )
 
 
 def _smeared(dump: Dump, entries: Sequence[Entry]) -> Iterator[Finding]:

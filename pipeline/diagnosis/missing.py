@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from boresight.pipeline.diagnosis.readings import (
     are_mirrored,
     best_reading,
     readings_of_dump,
+    reversed_in_ground,
     reversed_strips,
 )
 from boresight.pipeline.files.dump import Dump
@@ -82,8 +84,12 @@ def what_is_missing(
     if stars := [entry for entry in every if entry.subject.kind is Kind.STAR]:
         counts = f"{n_stars} exposures identified, strips of the sky: {len(dump.sky_strips)}"
         return f"{outcome.reason}; {counts}{_unused_stars(stars)}"
-    first = f"; not used: {every[0].line}" if every else ""
-    return f"{outcome.reason}; {counts}{first}"
+    first, reason = f"; not used: {every[0].line}" if every else "", outcome.reason
+    if n_targets == 0 and lost:
+        reason = (
+            "no target is found within 3 sigma_rad of the pre-launch matrix: check these, chips and images"
+        )
+    return f"{reason}; {counts}{first}"
 
 
 def _unused_stars(stars: Sequence[Entry]) -> str:
@@ -136,13 +142,20 @@ def _no_target(dump: Dump, tasks: Sequence[StripTask]) -> str:
     )
 
 
-def cause_of_no_result(basis: Basis, sky: SkySide, strips: Sequence[StripSightings]) -> Finding | None:
-    """Why strips determine no matrix: a convention, or what hypotheses tell of all observations."""
+def cause_of_no_result(
+    basis: Basis,
+    sky: SkySide,
+    strips: Sequence[StripSightings],
+    tasks: Sequence[StripTask],
+    matched: Sequence[MatchedTargets],
+) -> Finding | None:
+    """Why strips determine no matrix: the order of an image, a convention, or what hypotheses tell of all
+    observations.
+    """
     if basis.of_attitudes:
         return basis.of_attitudes[0]
-    if reversed_strip := next(reversed_strips(basis.dump, sky), None):
-        return reversed_strip
-    if finding := wrong_convention(basis):
+    of_strips = chain(reversed_strips(basis.dump, sky), reversed_in_ground(tasks, matched))
+    if finding := next(of_strips, None) or wrong_convention(basis):
         return finding
     plain = replace(basis.errors, robust=False)
     together = calibrate_strips(strips, basis.dump.R_cs0, plain) if strips else None

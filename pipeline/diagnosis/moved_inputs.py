@@ -25,6 +25,7 @@ from boresight.geometry.starlight import earth_velocity_i
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes
 from boresight.pipeline.files.star_tables import survey_of
+from boresight.pipeline.files.terrain_files import TerrainFiles
 from boresight.pipeline.stages.head import Basis
 from boresight.records.record import Floats
 
@@ -245,6 +246,9 @@ def _by_precession(years: float, ground: GroundSightings) -> Floats:
 def _of_ground(dump: Dump, strips: Sequence[StripSightings]) -> Iterator[MovedInput]:
     """Effects on light from the ground, modelled and not, and heights in another unit."""
     moves = [{one.strip_id: one.ground.light_i[:, :, n] for one in strips} for n in range(len(EFFECTS) + 1)]
+    terrain = (
+        dump.terrain.files if dump.targets and isinstance(dump.terrain, TerrainFiles) else ()
+    )  # of chips
     for key, directions in zip(EFFECTS, moves):
         yield MovedInput(
             cause=f"light of the targets, {key.replace('_', ' ')}",
@@ -261,8 +265,8 @@ def _of_ground(dump: Dump, strips: Sequence[StripSightings]) -> Iterator[MovedIn
         item="all targets",
         unit="% of themselves",
         words=("too high", "too low"),
-        file=dump.target_files,
-        field="height_m (metres are expected)",
+        file=", ".join([*terrain[:1], dump.target_files]),
+        field="heights (metres are expected)",
         most=400.0,
         usual=30.0,
         directions_i=moves[-1],

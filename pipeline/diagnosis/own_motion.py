@@ -20,8 +20,10 @@ from scipy.optimize import minimize_scalar
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
+from scipy.special import bdtrc, chdtrc
 
 from boresight.calib.finding import Finding
+from boresight.calib.verdict import VerdictSettings
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.gyro import GyroRecord
 from boresight.pipeline.diagnosis.stretches import FACTORS, Stretch, stretches
@@ -128,6 +130,20 @@ class Attitudes:
         return isinstance(self.head.head.source, SolvedAttitudes)
 
     @property
+    def is_misfit(self) -> bool:
+        """Whether the stars of single exposures contradict one another: their camera or images are wrong, and
+        the attitudes scatter as the stars change.
+        """
+        of, limits = self.head.attitudes, VerdictSettings()
+        n, lost = len(of.kept), int(np.sum(~of.kept))
+        chi2, dof = of.chi2[of.usable].sum(), of.dof[of.usable].sum()
+        p_value = min(
+            bdtrc(lost - 1, n, limits.share_stars_rejected) if lost else 1.0,
+            chdtrc(dof, chi2 / limits.sigma_understated**2),
+        )
+        return not self.is_solved and n > 0 and bool(p_value < np.exp(-CERTAIN))
+
+    @property
     def what(self) -> str:
         """What the head delivers."""
         return "attitudes" if self.is_solved else "exposures"
@@ -214,6 +230,8 @@ def _are_apart(one: Attitudes, other: Attitudes) -> bool:
 def _of_head(of_head: Attitudes) -> list[Finding]:
     every = np.arange(len(of_head.t_s))
     told = _excess(of_head, every) or _uneven(of_head)
+    if told and told[0].unit != OF_TIMES.unit and of_head.is_misfit:
+        return []
     if told is None and max(_gains(of_head, every).values(), default=-1.0) < 0.0:
         return []  # no row whose absence would gain; of two that are wrong one hides the other in part
     groups, in_order, gained = _exchanged(of_head)

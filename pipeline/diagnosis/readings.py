@@ -32,7 +32,7 @@ from boresight.pipeline.stages.sky_side import SkySide
 from boresight.pipeline.stages.sky_strip import NamedStars, SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets
 from boresight.records.ledger import Entry, Kind, Ledger, Subject
-from boresight.records.record import Floats
+from boresight.records.record import Floats, record, scalar
 from boresight.star_id.strip_stars.find import StripStars
 
 __all__ = [
@@ -45,13 +45,14 @@ __all__ = [
     "exchanged_strips",
     "orders_of",
     "readings_of_dump",
+    "reversed_in_ground",
     "reversed_strips",
     "strips_without_stars",
 ]
 
 FEWEST = 3  # targets or stars that agree with a reading
 MOST_EXCHANGED = 6  # strips whose measured points are exchanged pair by pair: the work grows with the square
-MOST_PAIRS = 3  # of strips that are matched with each other's images; bounds their time
+MOST_TRIED = 3  # strips, or pairs of them, that are matched with other images; bounds their time
 T = TypeVar("T")
 Image = NDArray[Any]
 Turn = Callable[[Rotation], Rotation]
@@ -106,7 +107,7 @@ def readings_of_dump(dump: Dump) -> Iterator[Reading[Dump]]:
     """Every other reading of the tables of a dump alone, the commonest mistakes first."""
     for head in dump.heads:
         words, subjects = head.subject.words, (head.subject,)
-        rows = OF_HEADS if isinstance(head.source, SolvedAttitudes) else OF_HEADS[:2]
+        rows = OF_HEADS[1:] if isinstance(head.source, SolvedAttitudes) else OF_HEADS[:3]
         for cause, changed, file, field, changed_head, R_meant in rows:
             apply = partial(_with_head, head.name, partial(changed_head, R_meant))
             yield Reading(cause, words, subjects, file.format(head), field, changed, apply)
@@ -219,12 +220,14 @@ def _inverse_scalar_first(stated: Rotation) -> Rotation:
     return _scalar_first(stated.inv()).inv()
 
 
-# Of a head, first its installation file, then attitudes that it has solved: cause, words, file, field, what
-# is changed, and the rotation that was meant.
+# Of a head: its images, its installation file, then attitudes that it has solved: cause, words, file, field,
+# what is changed, and the rotation that was meant.
 MOUNTING = "the installation file of {0.name}", "quaternion_cs", _mounted
+HALF_TURN = Rotation.from_rotvec([0.0, 0.0, np.pi])
 SENSE = "sense of the attitudes' rotation", "with the quaternions conjugated"
 ORDER = "order of the quaternions' components", "with the scalar first", "{0.source.file}", "qx, qy, qz, qw"
 OF_HEADS: tuple[tuple[str, str, str, str, Callable[[Turn, Head], Head], Turn], ...] = (
+    ("axes of the star images", "turned by 180°", "exposures.csv", "file", _mounted, lambda R: R * HALF_TURN),
     ("sense of the installation matrix", "inverted,", *MOUNTING, Rotation.inv),
     ("order of the quaternion's components", "with the scalar first", *MOUNTING, _scalar_first),
     (*SENSE, "dump.toml", "star_cameras.rotation", _turned, Rotation.inv),
@@ -263,13 +266,13 @@ def _exchanged_ccds(strip: Strip, a: int, b: int, apply: Callable[[T], T]) -> Re
     return Reading("files of two CCDs", words, both, "strips.csv", "file", "exchanged,", apply)
 
 
-def _exchanged(
-    given: T, reading: Reading[T], agreeing: Callable[[T], int], n: int, what: str
+def _told(
+    given: T, readings: Iterable[Reading[T]], agreeing: Callable[[T], int], n: int, what: str
 ) -> Iterator[Finding]:
-    """That files are exchanged, if of `n` observations, none of which is found as stated, half are."""
+    """How images are meant, if of `n` observations, none of which is found as stated, half are."""
     enough = max(FEWEST, (n + 1) // 2)
-    if best := best_reading(given, [reading], agreeing, enough, enough):
-        yield reading.finding(f"{reading.changed} {best[1]} of {n} {what} are found, as stated none")
+    if best := best_reading(given, readings, agreeing, enough, enough):
+        yield best[0].finding(f"{best[0].changed} {best[1]} of {n} {what} are found, as stated none")
 
 
 def _empty_pairs(strip: Strip, ledger: Ledger) -> Iterator[tuple[int, int, int]]:
@@ -288,17 +291,12 @@ def exchanged_in_ground(
             images = task.strip.images.of((a, b))
             if images.shape(a) == images.shape(b):
                 reading = _exchanged_ccds(task.strip, a, b, partial(_with_files, {a: b, b: a}))
-                yield from _exchanged((images,), reading, partial(_matches, (task,)), n, "targets")
+                yield from _told((images,), [reading], partial(_matches, (task,)), n, "targets")
 
 
 def exchanged_strips(tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]) -> Iterator[Finding]:
     """Pairs of strips of the ground of which nothing matches, but with the images of the other."""
-    empty = [
-        (task, len(of_strip.omissions))
-        for task, of_strip in zip(tasks, matched)
-        if not len(of_strip.ccd) and task.targets
-    ]
-    for (a, n_a), (b, n_b) in islice(combinations(empty, 2), MOST_PAIRS):
+    for (a, n_a), (b, n_b) in islice(combinations(_unmatched(tasks, matched), 2), MOST_TRIED):
         if a.strip.images.shapes == b.strip.images.shapes:
             one, other, images = a.strip.subject, b.strip.subject, (a.strip.images, b.strip.images)
             cause, words = "files of two strips", f"{one.words} and {other.words}"
@@ -306,7 +304,13 @@ def exchanged_strips(tasks: Sequence[StripTask], matched: Sequence[MatchedTarget
                 cause, words, (one, other), "strips.csv", "file", "exchanged,", lambda both: both[::-1]
             )
             found = partial(_matches, (a, b))
-            yield from _exchanged(images, reading, found, n_a + n_b, "targets")
+            yield from _told(images, [reading], found, n_a + n_b, "targets")
+
+
+def _unmatched(tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]) -> list[tuple[StripTask, int]]:
+    """Strips of the ground with targets in view of which nothing matches, and how many these are."""
+    every = [(task, one) for task, one in zip(tasks, matched) if task.targets]
+    return [(task, len(one.omissions)) for task, one in every if not len(one.ccd)]
 
 
 def exchanged_in_sky(
@@ -325,7 +329,7 @@ def exchanged_in_sky(
                 return int(stars_found(dump, task, stars, expected).sum())
 
             reading = _exchanged_ccds(task.strip, a, b, partial(_of_other_ccd, a, b))
-            yield from _exchanged(of_strip.found, reading, found, n, "bright stars")
+            yield from _told(of_strip.found, [reading], found, n, "bright stars")
 
 
 def _of_other_ccd(a: int, b: int, stars: StripStars) -> StripStars:
@@ -347,6 +351,30 @@ def _matches(tasks: Sequence[StripTask], images: Sequence[StripFiles]) -> int:
 
 
 # --- Order of pixels
+
+
+@record
+class ReversedFiles(StripFiles):
+    """Images of a strip with their lines, samples or both in reverse order."""
+
+    steps: tuple[int, int] = scalar("-1 where lines, or samples, are reversed, else 1", default=(1, 1))
+
+    def read(self, ccd: int, line0: int, line1: int, sample0: int, sample1: int) -> Image:
+        """Raw counts of a window, as `StripFiles`."""
+        of = zip((line0, sample0), (line1, sample1), self.shapes[ccd], self.steps)
+        lines, samples = [(a, b) if step > 0 else (n - b, n - a) for a, b, n, step in of]
+        return StripFiles.read(self, ccd, *lines, *samples)[:: self.steps[0], :: self.steps[1]]
+
+
+def reversed_in_ground(tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]) -> Iterator[Finding]:
+    """Strips of the ground of which nothing matches, but with the pixels of their images in another order."""
+    for task, n in _unmatched(tasks, matched)[:MOST_TRIED]:
+        of, found = (task.strip.images,), partial(_matches, (task,))
+        yield from _told(of, _orders(task.strip, _with_steps, STEPS), found, n, "targets")
+
+
+def _with_steps(steps: tuple[int, int], images: tuple[StripFiles]) -> tuple[StripFiles]:
+    return (ReversedFiles(images[0].paths, images[0].names, images[0].shapes, steps),)
 
 
 def _reversed(axis: int, side: SkySide) -> SkySide:
@@ -379,15 +407,19 @@ def are_mirrored(tasks: Sequence[StarTask]) -> bool:
     return any(trials)
 
 
+ORDERS = ("with the order of columns reversed", "with the order of rows reversed", "turned by 180°")
+STEPS = ((1, -1), (-1, 1), (-1, -1))  # of lines and samples in these
+
+
+def _orders(strip: Strip, apply: Callable[[Any, T], T], by: Iterable[Any]) -> list[Reading[T]]:
+    """Other orders of pixels in the images of a strip: the first of `ORDERS`, each by what `apply` takes."""
+    told = "order of an image", strip.subject.words, (strip.subject,), "strips.csv", "file"
+    return [Reading(*told, changed, partial(apply, one)) for changed, one in zip(ORDERS, by)]
+
+
 def orders_of(strip: Strip) -> list[Reading[SkySide]]:
-    """Other orders of pixels in the images of a strip of the sky."""
-    cause, words, subjects = "order of an image", strip.subject.words, (strip.subject,)
-    return [
-        Reading(cause, words, subjects, "strips.csv", "file", changed, partial(_reversed, axis))
-        for axis, changed in enumerate(
-            ("with the order of columns reversed", "with the order of rows reversed")
-        )
-    ]
+    """Other orders of pixels in the images of a strip of the sky: of columns, of rows."""
+    return _orders(strip, _reversed, (0, 1))
 
 
 def _order(dump: Dump, side: SkySide) -> Reading[SkySide] | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -21,6 +22,7 @@ from boresight.records.ledger import Kind, Ledger, Subject, list_words
 __all__ = ["MeasuredTargets", "single_targets"]
 
 FEWEST = 3  # targets that make a pattern
+ALIKE_SIGMAS = 5.0  # of a target, within which those of a part of a strip are off alike
 SUSPECT_SHARE = 0.05  # of good data with wrong coordinates or chips; only compares groups
 # Log likelihood that a share of suspected targets of its own must gain a group, to be one (set by hand).
 GROUP_PENALTY = 3.0
@@ -80,11 +82,14 @@ def single_targets(
     *,
     is_explained: bool = False,
 ) -> Iterator[Finding]:
-    """A finding for each target of the ground that is off and, where more than three of a strip, of a CCD or
-    of a CCD in one strip are, one for that group; none for groups where a common cause is found already. The
-    ledger holds all targets in view.
+    """A finding for each target of the ground that is off, for those of a part of a strip that are off alike
+    and, where more than three of a strip, of a CCD or of a CCD in one strip are, for that group; none for
+    groups where a common cause is found already. The ledger holds all targets in view.
     """
     rest = [suspect for suspect in suspects if suspect.subject in measured.xy_px]
+    for alike in _stretches(rest, measured):
+        yield _of_stretch(alike, measured)
+        rest = [suspect for suspect in rest if suspect not in alike]
     found: dict[tuple[str, bool], dict[Subject, list[Subject]]] = defaultdict(dict)
     for group in _groups([suspect.subject for suspect in rest], ledger):
         those = [suspect.subject for suspect in rest if _holds(group, suspect.subject)]
@@ -98,6 +103,37 @@ def single_targets(
     for suspect in rest:
         of_target[suspect.subject.id].append(suspect)
     yield from (_of_target(those, measured) for those in of_target.values())
+
+
+def _stretches(suspects: Sequence[Contradiction], measured: MeasuredTargets) -> Iterator[list[Contradiction]]:
+    """Those of a strip, three at least, between whose lines it shows no other target, that are off alike."""
+    off = {suspect.subject: suspect for suspect in suspects}
+    for strip in sorted({subject.strip for subject in off}):
+        shown = sorted(
+            (one for one in measured.xy_px if one.strip == strip), key=lambda one: measured.xy_px[one][1]
+        )
+        for is_off, part in groupby(shown, off.__contains__):
+            those = [off[name] for name in part] if is_off else []
+            if not FEWEST <= len(those) < len(shown):
+                continue
+            off_m = np.array([measured.displaced(one) for one in those])
+            middle = np.average(off_m[:, :2], axis=0, weights=off_m[:, 2] ** -2.0)
+            if (np.hypot(*(off_m[:, :2] - middle).T) < ALIKE_SIGMAS * off_m[:, 2]).all():
+                yield those
+
+
+def _of_stretch(those: Sequence[Contradiction], measured: MeasuredTargets) -> Finding:
+    """Targets of a part of a strip that are off alike: its lines or attitudes, not their coordinates."""
+    first, last = (measured.xy_px[one.subject][1] for one in (those[0], those[-1]))
+    one, where = _of_target(those, measured), Subject(Kind.STRIP, strip=those[0].subject.strip).words
+    return replace(
+        one,
+        cause="lines or attitudes of a part of a strip",
+        item=f"{where}, lines {first:.0f} to {last:.0f}",
+        text=f"all {len(those)} targets there are off alike, by {one.value:.3g} m: check file in strips.csv.",
+        file="strips.csv",
+        field="file",
+    )
 
 
 def _of_target(those: Sequence[Contradiction], measured: MeasuredTargets) -> Finding:

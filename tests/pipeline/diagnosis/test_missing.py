@@ -67,5 +67,6 @@ def test_targets_that_a_strip_misses_are_told_by_distance_and_time(one_strip: Pa
         row[column] = str(float(row[column]) + 1.0)
     (one_strip / "targets.csv").write_text("\n".join(",".join(row) for row in rows) + "\n")
     told = reason(one_strip)
-    assert told.startswith("no target comes into view: the nearest, ")
+    assert told.startswith("common shift of coordinates or chips, 12 of 12 targets: they lie 9.02e+04 m east")
+    assert "Otherwise: no target comes into view: the nearest, " in told
     assert "km across the track and " in told and "14 exposures identified" in told

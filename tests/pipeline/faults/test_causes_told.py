@@ -18,6 +18,7 @@ import faults
 import numpy as np
 import pytest
 from edits import repaint
+from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.finding import MOST_WORDS
@@ -205,6 +206,10 @@ ROWS = [
          ("files or times of exposures", "exposures e0003 and e0010", "exposures.csv", None, "")]),
     ("ground", partial(files_exchanged, "exposures.csv", [(2, 9)]), FINDINGS,
         [("files or times of exposures", "exposures e0003 and e0010", "exposures.csv", None, "")]),
+    ("ground", partial(painted, "s02_*", np.flipud), FINDINGS,
+        [("order of an image", "strip s02", "strips.csv", None, "rows reversed 12 of 12 targets are found")]),
+    ("ground", number("star_camera.toml", "focal_length_mm", lambda v: 1.002 * v), REFUTED,
+        [("focal length of the star camera", "all exposures", "star_camera.toml", 0.2, "")]),
     ("ground", strips_again, CONSISTENT, []),
     ("ground", exposures_early(5), REFUTED, [IN_TURN]),
     ("ground", partial(painted, "s02_*", grey(17)), FINDINGS,
@@ -285,9 +290,32 @@ def chips_shifted(dump: Path) -> None:
         repaint(chip, lambda image: image, -350.0)
 
 
+def geocentric(dump: Path) -> None:
+    header, *rows = table(dump / "targets.csv")
+    for row in rows:
+        lat = np.radians(float(row[1]))
+        row[1] = f"{np.degrees(np.arctan((1.0 - 0.00669438) * np.tan(lat))):.9f}"
+    write(dump / "targets.csv", [header, *rows])
+
+
+def stars_turned(dump: Path) -> None:
+    for path in (dump / "exposures").iterdir():
+        image = Image.open(path).rotate(180)
+        path.unlink()
+        image.save(path)
+
+
+REVERSED = r"^order of an image, strip s01: {} 12 of 12 targets are found, as stated none"
+
+
 @pytest.mark.parametrize(
     ("dump", "make", "says"),
     [
+        ("ground", partial(painted, "*", np.fliplr), REVERSED.format("with the order of columns reversed")),
+        ("ground", partial(painted, "*", np.flipud), REVERSED.format("with the order of rows reversed")),
+        ("ground", partial(painted, "*", partial(np.rot90, k=2)), REVERSED.format("turned by 180°")),
+        ("ground", stars_turned, "^axes of the star images.* turned by 180° 3 of 3 strips see their"),
+        ("ground", geocentric, "36 of 36 targets: they lie 2.* m south of the middle of their chips"),
         ("points", thinned, r"with run\.exposure_margin_s = \d+ those around it would"),
         ("points", number(REMOTE, "x_offset_mm", lambda v: 0.0),
             r"^place of a CCD, along the track, CCD \d:.*x_offset"),

@@ -136,6 +136,35 @@ def test_a_single_target_that_contradicts_the_rest_is_named_once_with_its_place(
     assert found.value == approx(30.0, abs=0.1) and found.sigma == approx(2.5, abs=0.01)
 
 
+class Shown(Measured):
+    """Targets of chips of one strip at every hundredth line, some of them off in a direction of their own."""
+
+    def __init__(self, n, off, odd=()):
+        self.xy_px = {target("s1", f"t{k}", k % 4): (10.0, 100.0 * k) for k in range(n)}
+        self.off, self.odd = [suspected("s1", f"t{k}", ccd=k % 4) for k in off], {f"t{k}" for k in odd}
+
+    def displaced(self, suspect):
+        return (31.0, -22.0, 2.5) if suspect.subject.id in self.odd else super().displaced(suspect)
+
+
+@pytest.mark.parametrize("first", range(10))
+@pytest.mark.parametrize("n", range(2, 7))
+def test_targets_between_two_lines_of_a_strip_that_are_off_alike_are_one_finding_about_its_lines(first, n):
+    part = range(first, min(first + n, 12))
+    shown = Shown(12, part)
+    found = list(single_targets(shown.off, shown, in_view(("s1",), 4, 3), is_explained=True))
+    if len(part) < 3:
+        assert [one.cause for one in found] == ["coordinates or chip"] * len(part)
+        return
+    (one,) = found
+    assert (one.item, one.file) == (f"strip s1, lines {100 * part[0]} to {100 * part[-1]}", "strips.csv")
+    assert one.value == approx(30.0, abs=0.1) and len(one.explains) == len(part)
+    assert len(f"{one.cause} {one.item} {one.text}".split()) <= MOST_WORDS
+    for other in (Shown(12, part, odd=part[1:2]), Shown(12, range(0, 12, 2)[: len(part)])):
+        apart = list(single_targets(other.off, other, in_view(("s1",), 4, 3)))
+        assert apart and not [one for one in apart if one.cause.startswith("lines")]
+
+
 def test_many_targets_of_a_strip_are_one_finding():
     off = [suspected("s1", f"t{n}", ccd=n % 3) for n in range(10)]
     (found,) = single(off, in_view(THREE, 3, 4))
