@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from boresight.accepted import PathLike, number_of, path_of, wrong
+from boresight.accepted import PathLike, in_unit, number_of, path_of, wrong
 from boresight.features.planning.campaign_plan import Plan, PlanForecast, forecast_plan, read_plan
 from boresight.pipeline.run.settings import settings_from_values
 
@@ -62,15 +62,15 @@ def _plan(plan: object) -> Plan:
     if plan is None:
         return Plan()
     if isinstance(plan, Mapping):
-        values = {key: _plain(part) for key, part in plan.items()}
-        return settings_from_values(Plan, values, "plan", "plan")
+        return settings_from_values(Plan, _plain(plan, "plan"), "plan", "plan")
     if not isinstance(plan, str | os.PathLike):
         raise wrong("plan", plan, "the path of a TOML file, or a mapping of sections")
     return read_plan(path_of(plan, "plan"))
 
 
-def _plain(value: object) -> Any:
-    """Mappings as dictionaries, arrays as lists, and NumPy's numbers as Python's."""
+def _plain(value: object, name: str) -> Any:
+    """Mappings as dictionaries, arrays as lists, and NumPy's numbers as Python's, in the unit of the name."""
     if isinstance(value, Mapping):
-        return {key: _plain(one) for key, one in value.items()}
+        return {key: _plain(one, f"{name}.{key}") for key, one in value.items()}
+    value = in_unit(value, name)
     return value.tolist() if isinstance(value, np.generic | np.ndarray) else value

@@ -20,7 +20,7 @@ from boresight.pipeline.files.text_files import toml_tables
 from boresight.pipeline.forecast.accuracy import Forecast
 from boresight.pipeline.forecast.campaigns import PLAN_DRAWS, SkyPart, compare_campaigns, forecast_of_plan
 from boresight.pipeline.run.settings import settings_from_values
-from boresight.records.record import record
+from boresight.records.record import check_numbers, record
 from boresight.simulator.campaign import CameraPair, StripPlan, installation_by_tilt
 
 if TYPE_CHECKING:
@@ -54,6 +54,7 @@ class PlannedCameras:
     def __post_init__(self) -> None:
         _check_counts(self, 65_536, "star_width_px", "star_height_px", "ccd_px")
         _check_counts(self, 64, "n_ccds")
+        check_numbers(self, any_value=("star_from_zenith_deg",))
 
 
 @record(by_value=True)
@@ -71,6 +72,7 @@ class PlannedStrips:
     def __post_init__(self) -> None:
         _check_counts(self, 1_000_000, "count")
         _check_counts(self, 1000, "exposures", "stars")
+        check_numbers(self, zero=("exposure_margin_s",))
 
 
 @record(by_value=True)
@@ -85,6 +87,9 @@ class PlannedTargets:
 
     def __post_init__(self) -> None:
         _check_counts(self, 10_000, "count")
+        check_numbers(self, zero=("sigma_px", "sigma_m"))
+        if not (self.across[0] <= self.across[1] and self.along[0] <= self.along[1]):
+            raise ValueError(f"across and along must increase, got {self.across} and {self.along}")
 
 
 @record(by_value=True)
@@ -102,8 +107,7 @@ class PlannedSky:
         _check_counts(self, 1000, "exposures", "stars")
         if not 0 <= self.count <= 1_000_000:
             raise ValueError(f"count must be 0 to 1000000, got {self.count}")
-        if not self.rate_mrad_s > 0.0:
-            raise ValueError(f"rate_mrad_s must be positive, got {self.rate_mrad_s}")
+        check_numbers(self, zero=("count", "sigma_px"))
 
 
 @record(by_value=True)
@@ -117,6 +121,8 @@ class PlannedGyro:
     step_s: float = 0.1  # from row to row
 
     def __post_init__(self) -> None:
+        sizes = ("random_walk_arcsec", "bias_walk_arcsec_s", "bias_arcsec_s", "white_arcsec")
+        check_numbers(self, zero=sizes)
         if not 1e-3 <= self.step_s <= 100.0:
             raise ValueError(f"step_s must be 0.001 to 100, got {self.step_s}")
 
@@ -141,6 +147,10 @@ class PlannedErrors:
     motion_s: float = 0.8
     distortion_px: float = 0.3
     distortion_length_px: float = 2000.0
+
+    def __post_init__(self) -> None:
+        sizes = ("position_m", "clock_s", "vibration_arcsec", "motion_arcsec", "distortion_px")
+        check_numbers(self, zero=sizes)
 
 
 @record(by_value=True)
