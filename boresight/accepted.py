@@ -195,9 +195,10 @@ def floats_of(value: object, name: str, shape: str, unit: str | None = None) -> 
     what states its units in `attrs`, is converted to `unit`; None: that of the name.
     """
     value = in_unit(value, name, unit)
-    axes = [str(one)[:1].lower() for one in value.columns] if isinstance(value, pd.DataFrame) else []
-    if axes != sorted(axes) and "".join(sorted(axes)) in ("xy", "xyz"):
-        raise wrong(name, f"the columns {', '.join(value.columns)}", "x before y before z")
+    columns = [str(one) for one in value.columns] if isinstance(value, pd.DataFrame) else []
+    axes = "".join(one[:1].lower() for one in columns)
+    if axes in ("yx", "xzy", "yxz", "yzx", "zxy", "zyx"):
+        raise wrong(name, f"the columns {', '.join(columns)}", "x before y before z")
     try:
         if isinstance(value, str | bytes):
             raise TypeError
@@ -305,7 +306,8 @@ def _utc_text(value: Any) -> str | None:
         utc = value if value.tzinfo is None else value.astimezone(datetime.UTC).replace(tzinfo=None)
         return utc.isoformat()  # of a pandas Timestamp with its nanoseconds
     if getattr(getattr(value, "dtype", None), "kind", "") == "M" and value.ndim == 0:  # also of xarray
-        return _utc_text(pd.Timestamp(np.asarray(value)[()]))  # as datetime64[ns] 2609 would be 2024
+        instant: Any = np.asarray(value)[()]
+        return _utc_text(pd.Timestamp(instant))  # as datetime64[ns] 2609 would be 2024
     if type(value).__module__.startswith("astropy.time") and getattr(value, "isscalar", False):
         precise = value.utc.copy(format="isot")
         precise.precision = 9

@@ -40,5 +40,3 @@ class StarSettings:
         )
         if self.saturation_dn is not None and not self.saturation_dn > 0.0:
             raise ValueError(f"StarSettings.saturation_dn must be positive, got {self.saturation_dn}")
-        if self.smear_px is not None and len(self.smear_px) != 2:
-            raise ValueError(f"StarSettings.smear_px must be (column, row), got {self.smear_px}")
