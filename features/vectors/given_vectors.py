@@ -82,9 +82,7 @@ def information_of_start(sigma: Any) -> Floats | None:
     name, expected = "sigma_R_cs0_rad", "1-sigma errors, 0 to pi or infinite, or a positive covariance (3, 3)"
     given = floats_of(sigma, name, "(), (3,) or (3, 3)")
     if given.shape == (3, 3):
-        if not (
-            np.isfinite(given).all() and np.allclose(given, given.T) and np.linalg.eigvalsh(given)[0] > 0.0
-        ):
+        if not (_is_symmetric(given) and np.linalg.eigvalsh(given)[0] > 0.0):
             raise wrong(name, sigma, expected)
         return np.asarray(np.linalg.inv(given))
     inside = ((given >= 0.0) & (given <= np.pi)) | np.isposinf(given)
@@ -143,7 +141,8 @@ def _is_table(value: Any) -> bool:
 def _numbered(instants: Any, n: int) -> Ints:
     """A whole number (K,) for each frame, equal where the labels of their instants are."""
     labels = listed(instants, "instants", "labels of the frames' instants")
-    if len(labels) != n or not all(isinstance(one, Hashable) for one in labels):
+    missing = (not isinstance(one, Hashable) or one is None or one is pd.NA or one != one for one in labels)
+    if len(labels) != n or any(missing):
         raise wrong("instants", instants, f"{n} labels, one for each frame")
     number: dict[Hashable, int] = {}
     return np.array([number.setdefault(one, len(number)) for one in labels], dtype=np.int64)
@@ -211,6 +210,12 @@ def _tables(value: Any, name: str, one: bool) -> Parts:
     return tables
 
 
+def _is_symmetric(given: Floats) -> bool:
+    """Whether matrices (..., 3, 3) are finite, and symmetric to the digits of 32 bits."""
+    apart = np.abs(given - np.swapaxes(given, -1, -2))
+    return bool(np.isfinite(given).all() and apart.max(initial=0.0) <= 1e-6 * np.abs(given).max(initial=0.0))
+
+
 def _errors(value: Any, name: str, counts: Sequence[int], one: bool) -> tuple[Floats, Floats | None]:
     """1-sigma errors (N,) of all vectors, and where any is given their covariances (N, 3, 3), from a number,
     one a frame, or one a vector.
@@ -225,9 +230,7 @@ def _errors(value: Any, name: str, counts: Sequence[int], one: bool) -> tuple[Fl
         errors = floats_of(part, at, f"(), ({n},) or covariances ({n}, 3, 3)", unit="rad")
         if errors.shape not in ((), (n,), (n, 3, 3)):
             raise wrong(at, f"shape {errors.shape}", f"a number or shape ({n},), or covariances ({n}, 3, 3)")
-        if errors.ndim == 3 and not (
-            np.isfinite(errors).all() and np.allclose(errors, np.swapaxes(errors, 1, 2))
-        ):
+        if errors.ndim == 3 and not _is_symmetric(errors):
             raise wrong(at, errors, "covariances, symmetric and finite, rad²")
         axes = np.broadcast_to(errors, n) if errors.ndim < 3 else np.linalg.eigvalsh(errors)[:, 1:]
         axes = axes if errors.ndim < 3 else np.sqrt(np.maximum(axes, 0.0))
