@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from astropy.time import Time
 
 __all__ = ["ImageLike", "PathLike", "Progress", "RotationLike", "SiteLike", "Table", "TimeLike", "cell_of"]
-__all__ += ["column_of", "count_of", "counted", "flag_of", "floats_of", "image_of", "in_unit", "instance_of"]
+__all__ += ["column_of", "count_of", "counted", "flag_of", "floats_of", "image_of", "in_unit"]
+__all__ += ["instance_of", "is_symmetric"]
 __all__ += ["label_of", "listed", "new_file_of", "new_folder_of", "no_progress", "number_of", "of_argument"]
 __all__ += ["path_of", "pixels_of", "progress_of", "rotation_of", "rows_of", "shown", "site_of"]
 __all__ += ["source_of", "utc_of", "vacant_folder_of", "values_by_column", "wrong"]
@@ -211,6 +212,12 @@ def floats_of(value: object, name: str, shape: str, unit: str | None = None) -> 
     if masked:
         raise wrong(name, "an array with masked values", f"numbers of shape {shape}, none of them masked")
     return numbers
+
+
+def is_symmetric(given: Floats) -> bool:
+    """Whether matrices (..., M, M) are finite, and symmetric to the digits of 32 bits."""
+    apart = np.abs(given - np.swapaxes(given, -1, -2))
+    return bool(np.isfinite(given).all() and apart.max(initial=0.0) <= 1e-6 * np.abs(given).max(initial=0.0))
 
 
 def in_unit(value: Any, name: str, unit: str | None = None) -> Any:

@@ -141,6 +141,9 @@ class Ccd:
             raise ValueError(f"distortion_samples must be two or more in increasing order, got {samples}")
         if not (self.n_px > 0 and self.pixel_m > 0.0):
             raise ValueError(f"n_px and pixel_m must be positive, got {self.n_px}, {self.pixel_m}")
+        place = (self.y_first_m, self.x_offset_m, self.rotation_rad, self.principal_sample)
+        if not np.isfinite([*place, *samples, *offsets, *across]).all():
+            raise ValueError(f"Ccd needs finite numbers, got {place} and a table of {len(samples)} samples")
         object.__setattr__(self, "distortion_samples", samples)
         object.__setattr__(self, "distortion_offsets_m", offsets)
         if len(samples):
@@ -302,7 +305,9 @@ class LookTable:
     tan_y: Floats = array("K", "u_y / u_z, strictly monotone")
 
     def __post_init__(self) -> None:
-        if len(self.samples) < 2 or np.any(np.diff(self.samples) <= 0.0):
+        for name in ("samples", "tan_x", "tan_y"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
+        if len(self.samples) < 2 or not np.all(np.diff(self.samples) > 0.0) or np.isnan(self.tan_x).any():
             raise ValueError("LookTable needs two or more samples in increasing order, each with tangents")
         along = np.diff(self.tan_y)
         if not (np.all(along > 0.0) or np.all(along < 0.0)):

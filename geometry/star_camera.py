@@ -282,7 +282,7 @@ class StarCamera:
     def from_opencv(
         cls,
         camera_matrix: ArrayLike,
-        distortion: ArrayLike = (),
+        distortion: ArrayLike | None = (),
         *,
         size_px: tuple[int, int],
         pixel_m: float = 5e-6,
@@ -293,8 +293,13 @@ class StarCamera:
         `size_px` is (width, height). The pitch `pixel_m` changes no direction. `ValueError` where pixels are
         not square to 1e-3, or there are further coefficients that are not zero.
         """
-        (f_x, skew, x0), (_, f_y, y0), _ = np.asarray(camera_matrix, dtype=np.float64).tolist()
-        k1, k2, p1, p2, k3, *more = np.append(distortion, np.zeros(5)).tolist()
+        matrix = np.asarray(camera_matrix, dtype=np.float64)
+        if matrix.shape != (3, 3) or matrix[2].tolist() != [0.0, 0.0, 1.0]:
+            raise ValueError(
+                f"camera_matrix: rows (f, 0, x), (0, f, y), (0, 0, 1) expected, got {matrix.tolist()}"
+            )
+        (f_x, skew, x0), (_, f_y, y0), _ = matrix.tolist()
+        k1, k2, p1, p2, k3, *more = np.append(() if distortion is None else distortion, np.zeros(5)).tolist()
         if not (f_x > 0.0 and abs(f_y / f_x - 1.0) < _SQUARE and abs(skew) < _SQUARE * f_x):
             raise ValueError(
                 f"camera_matrix: focal lengths alike to {_SQUARE:g} expected, got {f_x:g}, {f_y:g}"

@@ -15,7 +15,7 @@ import pandas as pd
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from boresight.accepted import floats_of, listed, shown, wrong
+from boresight.accepted import floats_of, is_symmetric, listed, shown, wrong
 from boresight.features.vectors.target_places import SeenPlaces, seen_places
 from boresight.features.vectors.vector_estimate import VectorCalibration
 from boresight.geometry.orbit import Orbit
@@ -82,7 +82,7 @@ def information_of_start(sigma: Any) -> Floats | None:
     name, expected = "sigma_R_cs0_rad", "1-sigma errors, 0 to pi or infinite, or a positive covariance (3, 3)"
     given = floats_of(sigma, name, "(), (3,) or (3, 3)")
     if given.shape == (3, 3):
-        if not (_is_symmetric(given) and np.linalg.eigvalsh(given)[0] > 0.0):
+        if not (is_symmetric(given) and np.linalg.eigvalsh(given)[0] > 0.0):
             raise wrong(name, sigma, expected)
         return np.asarray(np.linalg.inv(given))
     inside = ((given >= 0.0) & (given <= np.pi)) | np.isposinf(given)
@@ -210,12 +210,6 @@ def _tables(value: Any, name: str, one: bool) -> Parts:
     return tables
 
 
-def _is_symmetric(given: Floats) -> bool:
-    """Whether matrices (..., 3, 3) are finite, and symmetric to the digits of 32 bits."""
-    apart = np.abs(given - np.swapaxes(given, -1, -2))
-    return bool(np.isfinite(given).all() and apart.max(initial=0.0) <= 1e-6 * np.abs(given).max(initial=0.0))
-
-
 def _errors(value: Any, name: str, counts: Sequence[int], one: bool) -> tuple[Floats, Floats | None]:
     """1-sigma errors (N,) of all vectors, and where any is given their covariances (N, 3, 3), from a number,
     one a frame, or one a vector.
@@ -230,7 +224,7 @@ def _errors(value: Any, name: str, counts: Sequence[int], one: bool) -> tuple[Fl
         errors = floats_of(part, at, f"(), ({n},) or covariances ({n}, 3, 3)", unit="rad")
         if errors.shape not in ((), (n,), (n, 3, 3)):
             raise wrong(at, f"shape {errors.shape}", f"a number or shape ({n},), or covariances ({n}, 3, 3)")
-        if errors.ndim == 3 and not _is_symmetric(errors):
+        if errors.ndim == 3 and not is_symmetric(errors):
             raise wrong(at, errors, "covariances, symmetric and finite, rad²")
         axes = np.broadcast_to(errors, n) if errors.ndim < 3 else np.linalg.eigvalsh(errors)[:, 1:]
         axes = axes if errors.ndim < 3 else np.sqrt(np.maximum(axes, 0.0))
