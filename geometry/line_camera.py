@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
-from boresight.records.record import Floats, array, record, scalar
+from boresight.records.record import Floats, array, check_numbers, record, scalar
 
 __all__ = [
     "Ccd",
@@ -139,11 +139,10 @@ class Ccd:
             raise ValueError(f"across_offsets_m must have 0 or {len(samples)} entries, got {len(across)}")
         if len(samples) == 1 or np.any(np.diff(samples) <= 0.0):
             raise ValueError(f"distortion_samples must be two or more in increasing order, got {samples}")
-        if not (self.n_px > 0 and self.pixel_m > 0.0):
-            raise ValueError(f"n_px and pixel_m must be positive, got {self.n_px}, {self.pixel_m}")
-        place = (self.y_first_m, self.x_offset_m, self.rotation_rad, self.principal_sample)
-        if not np.isfinite([*place, *samples, *offsets, *across]).all():
-            raise ValueError(f"Ccd needs finite numbers, got {place} and a table of {len(samples)} samples")
+        place = (self.y_first_m, self.x_offset_m, self.rotation_rad, self.principal_sample, self.pixel_m)
+        finite = np.isfinite([*place, *samples, *offsets, *across]).all()
+        if not (self.n_px > 0 and self.pixel_m > 0.0 and finite):
+            raise ValueError(f"n_px and pixel_m must be positive, all finite, got {self.n_px}, {place}")
         object.__setattr__(self, "distortion_samples", samples)
         object.__setattr__(self, "distortion_offsets_m", offsets)
         if len(samples):
@@ -235,12 +234,9 @@ class LineCamera:
     time_of_row: TimeOfRow = scalar("instant of the exposure that a row's time label means", default="middle")
 
     def __post_init__(self) -> None:
-        if not self.focal_m > 0.0:
-            raise ValueError(f"LineCamera.focal_m must be positive, got {self.focal_m}")
+        check_numbers(self)
         if not self.ccds:
             raise ValueError("LineCamera.ccds must hold at least one CCD")
-        if self.tdi_stages < 1:
-            raise ValueError(f"LineCamera.tdi_stages must be 1 or more, got {self.tdi_stages}")
         if self.time_of_row not in ("start", "middle", "end"):
             raise ValueError(f"LineCamera.time_of_row must be start, middle or end, got {self.time_of_row!r}")
 

@@ -16,7 +16,6 @@ image, its middle at 0. Constant and linear terms are the camera's own.
 from __future__ import annotations
 
 import math
-import numbers
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Literal, get_args
@@ -25,7 +24,7 @@ import numpy as np
 from numpy.polynomial.legendre import legval
 from numpy.typing import ArrayLike, NDArray
 
-from boresight.records.record import Bools, Floats, array, record, scalar, value_text
+from boresight.records.record import Bools, Floats, array, check_numbers, record, scalar, value_text
 
 __all__ = [
     "LEAST_FORWARD",
@@ -141,11 +140,7 @@ class StarCamera:
         if not isinstance(self.projection, str) or self.projection not in get_args(Projection):
             found = f"{' or '.join(get_args(Projection))} expected, got {value_text(self.projection)}"
             raise ValueError(f"StarCamera.projection: {found}")
-        for name in ("focal_m", "pixel_m", "width_px", "height_px"):
-            value = getattr(self, name)
-            is_number = isinstance(value, numbers.Real)
-            if not is_number or not 0 < value < math.inf:
-                raise ValueError(f"StarCamera.{name} must be a positive number, got {value_text(value)}")
+        check_numbers(self, any_value=("p1", "p2", "q1", "q2", "q3"))
 
     @property
     def field_radius_rad(self) -> float:

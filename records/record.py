@@ -279,8 +279,8 @@ def check_numbers(record: Any, *, any_value: tuple[str, ...] = (), zero: tuple[s
         if value is None and kind.endswith("None"):
             continue
         if kind.startswith("tuple[float, float]"):
-            pair: Any = value if isinstance(value, tuple | list) else ()
-            if [isinstance(one, float | int) and abs(one) < LARGEST_NUMBER for one in pair] != [True, True]:
+            is_pair = isinstance(value, tuple | list) or getattr(value, "shape", ()) == (2,)
+            if [_is_finite(one) for one in (value if is_pair else ())] != [True, True]:
                 raise ValueError(f"{name} must be two finite numbers, got {value_text(value)}")
         if kind.split(" |")[0] not in ("float", "int"):
             continue
@@ -297,6 +297,10 @@ def check_numbers(record: Any, *, any_value: tuple[str, ...] = (), zero: tuple[s
             raise ValueError(
                 f"{name} must be {expected} and {'at most 1' if part else 'finite'}, got {value}"
             )
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, numbers.Real) and bool(abs(cast(Any, value)) < LARGEST_NUMBER)
 
 
 def _row_fields(record: Any) -> list[str]:

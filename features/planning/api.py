@@ -50,19 +50,14 @@ def forecast(
     >>> bs.forecast({"strips": {"count": 12}}).table.columns.tolist()
     ['strips', 'axis', 'sigma_arcsec', 'floor_arcsec']
     """
-    wanted = (
-        None
-        if target_arcsec is None
-        else number_of(target_arcsec, "target_arcsec", LEAST_ARCSEC, MOST_ARCSEC)
-    )
-    return forecast_plan(_plan(plan), wanted)
+    if target_arcsec is not None:
+        target_arcsec = number_of(target_arcsec, "target_arcsec", LEAST_ARCSEC, MOST_ARCSEC)
+    return forecast_plan(_plan(plan), target_arcsec)
 
 
 def _plan(plan: object) -> Plan:
-    if plan is None:
-        return Plan()
-    if isinstance(plan, Mapping):
-        return settings_from_values(Plan, _plain(plan, "plan"), "plan", "plan")
+    if plan is None or isinstance(plan, Mapping):
+        return settings_from_values(Plan, _plain(plan or {}, "plan"), "plan", "plan")
     if not isinstance(plan, str | os.PathLike):
         raise wrong("plan", plan, "the path of a TOML file, or a mapping of sections")
     return read_plan(path_of(plan, "plan"))
