@@ -197,8 +197,7 @@ def floats_of(value: object, name: str, shape: str, unit: str | None = None) -> 
     """
     value = in_unit(value, name, unit)
     columns = [str(one) for one in value.columns] if isinstance(value, pd.DataFrame) else []
-    axes = "".join(one[:1].lower() for one in columns)
-    if axes in ("yx", "xzy", "yxz", "yzx", "zxy", "zyx"):
+    if "".join(one[:1].lower() for one in columns) in ("yx", "xzy", "yxz", "yzx", "zxy", "zyx"):
         raise wrong(name, f"the columns {', '.join(columns)}", "x before y before z")
     try:
         if isinstance(value, str | bytes):

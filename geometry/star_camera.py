@@ -291,14 +291,13 @@ class StarCamera:
         matrix = np.asarray(camera_matrix, dtype=np.float64)
         if matrix.shape != (3, 3) or matrix[2].tolist() != [0.0, 0.0, 1.0]:
             raise ValueError(
-                f"camera_matrix: rows (f, 0, x), (0, f, y), (0, 0, 1) expected, got {matrix.tolist()}"
+                f"camera_matrix: (f, 0, x), (0, f, y), (0, 0, 1) expected, got {matrix.tolist()}"
             )
         (f_x, skew, x0), (_, f_y, y0), _ = matrix.tolist()
         k1, k2, p1, p2, k3, *more = np.append(() if distortion is None else distortion, np.zeros(5)).tolist()
         if not (f_x > 0.0 and abs(f_y / f_x - 1.0) < _SQUARE and abs(skew) < _SQUARE * f_x):
-            raise ValueError(
-                f"camera_matrix: focal lengths alike to {_SQUARE:g} expected, got {f_x:g}, {f_y:g}"
-            )
+            alike = f"focal lengths alike to {_SQUARE:g}, no skew"
+            raise ValueError(f"camera_matrix: {alike} expected, got {f_x:g}, {f_y:g}, {skew:g}")
         if any(more):
             raise ValueError(f"distortion: k1, k2, p1, p2, k3 expected, got further ones: {more}")
         focal_m = float(np.sqrt(f_x * f_y)) * pixel_m

@@ -263,8 +263,12 @@ def shape_of(field: dataclasses.Field[Any]) -> tuple[int | str, ...] | None:
 
 
 def value_text(value: object) -> str:
-    """A number or text as Python writes it, cut short; of anything else its type. One line."""
-    return repr(value)[:80] if isinstance(value, str | int | float) else f"a {type(value).__name__}"
+    """A number, text or collection as Python writes it, cut short; of anything else its type. One line."""
+    known = isinstance(value, str | int | float | list | tuple | dict)
+    try:
+        return " ".join(repr(value).split())[:160] if known else f"a {type(value).__name__}"
+    except Exception:  # an integer of thousands of digits, or what a collection holds
+        return f"a {type(value).__name__} too long to be shown"
 
 
 def check_numbers(record: Any, *, any_value: tuple[str, ...] = (), zero: tuple[str, ...] = ()) -> None:

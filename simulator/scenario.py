@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from boresight.records.record import record
+from boresight.records.record import record, value_text
 
 __all__ = [
     "CloudSettings",
@@ -425,7 +425,7 @@ def scenario_from_dict(values: dict[str, Any]) -> Scenario:
     values = dict(values)
     based_on = values.pop("based_on", "paper")
     if not isinstance(based_on, str):
-        raise ScenarioError(f"based_on: expected a name, found {_shown(based_on)}")
+        raise ScenarioError(f"based_on: expected a name, found {value_text(based_on)}")
     merged = _merged(_codec().dump_python(builtin_scenario(based_on), mode="json"), values, "")
     try:
         return _codec().validate_json(json.dumps(merged, default=str), strict=True)
@@ -438,7 +438,7 @@ def scenario_from_dict(values: dict[str, Any]) -> Scenario:
         says = says.replace("Input should be", "expected").replace(
             "Unexpected keyword argument", "unknown setting"
         )
-        raise ScenarioError(f"{where[1:]}: {says}, found {_shown(first['input'])}") from error
+        raise ScenarioError(f"{where[1:]}: {says}, found {value_text(first['input'])}") from error
 
 
 def scenario_to_dict(scenario: Scenario) -> dict[str, Any]:
@@ -457,7 +457,7 @@ def _codec() -> TypeAdapter[Scenario]:
 def _merged(base: dict[str, Any], values: Any, path: str) -> dict[str, Any]:
     """Tables with the given values in place of their own."""
     if not isinstance(values, dict):
-        raise ScenarioError(f"{path or 'scenario'}: expected a table, found {_shown(values)}")
+        raise ScenarioError(f"{path or 'scenario'}: expected a table, found {value_text(values)}")
     merged = dict(base)
     for key, value in values.items():
         where = f"{path}.{key}" if path else key
@@ -474,13 +474,6 @@ def _check_numbers(value: Any, where: str) -> None:
     _refuse(too_large, where, f"a number up to {LARGEST:g}", value)
     for one in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
         _check_numbers(one, where)
-
-
-def _shown(value: Any) -> str:
-    try:
-        return repr(value)[:160]
-    except (ValueError, RecursionError):  # an integer of thousands of digits
-        return f"a {type(value).__name__} too long to be shown"
 
 
 # Settings that are positive.
@@ -522,7 +515,7 @@ def _check(scenario: Scenario) -> None:
 
 def _refuse(is_wrong: bool, name: str, expected: str, found: object) -> None:
     if is_wrong:
-        raise ScenarioError(f"{name}: expected {expected}, found {_shown(found)}")
+        raise ScenarioError(f"{name}: expected {expected}, found {value_text(found)}")
 
 
 def _check_scans(scenario: Scenario) -> None:

@@ -226,17 +226,14 @@ def _errors(value: Any, name: str, counts: Sequence[int], one: bool) -> tuple[Fl
             raise wrong(at, f"shape {errors.shape}", f"a number or shape ({n},), or covariances ({n}, 3, 3)")
         if errors.ndim == 3 and not is_symmetric(errors):
             raise wrong(at, errors, "covariances, symmetric and finite, rad²")
-        axes = np.broadcast_to(errors, n) if errors.ndim < 3 else np.linalg.eigvalsh(errors)[:, 1:]
-        axes = axes if errors.ndim < 3 else np.sqrt(np.maximum(axes, 0.0))
-        bad = ~((axes >= SIGMA_RAD[0]) & (axes <= SIGMA_RAD[1]))
-        if bad.any():
+        full = errors.ndim == 3
+        axes = np.linalg.eigvalsh(errors)[:, 1:] if full else np.broadcast_to(errors, n)
+        axes = np.copysign(np.sqrt(np.abs(axes)), axes) if full else axes  # below 0 of what is no covariance
+        if (bad := ~((axes >= SIGMA_RAD[0]) & (axes <= SIGMA_RAD[1]))).any():
             expected = "1-sigma errors above 0, from {:g} to {:g} rad".format(*SIGMA_RAD)
-            raise wrong(
-                at, float(axes[bad][0]), expected + (", across the vectors" if errors.ndim == 3 else "")
-            )
-        sigmas.append(axes if errors.ndim < 3 else axes.max(axis=1))
-        isotropic = axes[..., None, None] ** 2 * np.eye(3) if errors.ndim < 3 else errors
-        covariances.append((errors.ndim == 3, isotropic))
+            raise wrong(at, float(axes[bad][0]), expected + ", across the vectors" * full)
+        sigmas.append(axes.max(axis=1) if full else axes)
+        covariances.append((full, errors if full else axes[..., None, None] ** 2 * np.eye(3)))
     some = any(stated for stated, _ in covariances)
     return np.concatenate(sigmas), np.concatenate([one for _, one in covariances]) if some else None
 
