@@ -278,10 +278,8 @@ def rotation_of(value: object, name: str) -> Rotation:
     matrix = floats_of(value, name, "(3, 3), or a scipy Rotation")
     if matrix.shape != (3, 3):
         raise wrong(name, matrix, "a scipy Rotation or a (3, 3) matrix")
-    if not np.isfinite(matrix).all():
-        raise wrong(name, "a matrix with values that are not finite", "finite values")
     off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
-    if off > ORTHONORMAL:
+    if not off <= ORTHONORMAL:  # NaN is not
         raise wrong(name, f"a matrix whose R Rᵀ is {off:.1e} off the identity", f"at most {ORTHONORMAL:g}")
     if np.linalg.det(matrix) < 0.0:
         raise wrong(name, "a matrix of determinant -1", "+1: a rotation, no reflection")
