@@ -47,9 +47,10 @@ Table: TypeAlias = pd.DataFrame | Iterable[Mapping[str, Any]]
 ORTHONORMAL = 1e-6  # of R Rᵀ: a matrix printed with seven digits
 LONGEST_PATH, LONGEST_NAME = 4096, 255  # characters of a path and of each of its parts
 LONGEST_SHOWN = 80  # characters of an argument that a message repeats
-# By the end of a name, of two parts before that of one.
-UNITS = {unit: unit for unit in ("deg", "rad", "arcsec", "m", "s", "um", "mm", "km")} | {"px": "pix"}
-UNITS |= {f"{a}_{b}": f"{a}/{b}" for a in ("m", "arcsec", "mrad", "deg") for b in ("s", "s2")}
+UNITS = {of: of for of in ("deg", "rad", "arcsec", "m", "s", "um", "mm", "km")} | {"px": "pix"}
+UNITS |= {
+    f"{a}_{b}": f"{a}/{b}" for a in ("m", "arcsec", "mrad", "deg") for b in ("s", "s2")
+}  # by names' ends
 Kind = TypeVar("Kind")
 
 

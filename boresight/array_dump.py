@@ -198,7 +198,8 @@ def dump_from_arrays(
     for key, bits in (("star_bits", star_bits), ("remote_bits", remote_bits)):
         if bits is not None:
             count_of(bits, key, 8, 16)
-    states = orbit_text(instance_of(mission, str, "mission"), orbit_frame, orbit)
+    if orbit_frame not in FRAMES:
+        raise wrong("orbit_frame", orbit_frame, " or ".join(FRAMES))
     of_ground = isinstance(strips, pd.DataFrame) and not (strips.get("kind", pd.Series()) == "sky").any()
     if targets is None and points is None and of_ground:
         raise wrong("targets, points", "neither of them", "targets, points or strips of kind sky")
@@ -217,6 +218,7 @@ def dump_from_arrays(
     write_remote_camera(folder, remote_camera, bits_used)
     mounting = {"quaternion_cs": R_cs.as_quat(canonical=True).tolist(), "sigma_rad": sigma}
     write_toml(folder / FILES["installation"], mounting)
+    states = orbit_text(instance_of(mission, str, "mission"), orbit_frame, orbit)
     (folder / files["orbit"]).write_text(states, encoding="utf-8")
     if targets is not None:
         files["targets"] = "targets.csv"
