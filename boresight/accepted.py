@@ -48,9 +48,7 @@ ORTHONORMAL = 1e-6  # of R Rᵀ: a matrix printed with seven digits
 LONGEST_PATH, LONGEST_NAME = 4096, 255  # characters of a path and of each of its parts
 LONGEST_SHOWN = 80  # characters of an argument that a message repeats
 UNITS = {of: of for of in ("deg", "rad", "arcsec", "m", "s", "um", "mm", "km")} | {"px": "pix"}
-UNITS |= {
-    f"{a}_{b}": f"{a}/{b}" for a in ("m", "arcsec", "mrad", "deg") for b in ("s", "s2")
-}  # by names' ends
+UNITS |= {f"{a}_{b}": f"{a}/{b}" for a in ("m", "arcsec", "mrad", "deg") for b in ("s", "s2")}  # of a name
 Kind = TypeVar("Kind")
 
 
