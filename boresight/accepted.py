@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from astropy.time import Time
 
 __all__ = ["ImageLike", "PathLike", "Progress", "RotationLike", "SiteLike", "Table", "TimeLike", "cell_of"]
-__all__ += ["column_of", "count_of", "counted", "flag_of", "floats_of", "image_of", "instance_of"]
+__all__ += ["column_of", "count_of", "counted", "flag_of", "floats_of", "image_of", "in_unit"]
+__all__ += ["instance_of", "is_symmetric"]
 __all__ += ["label_of", "listed", "new_file_of", "new_folder_of", "no_progress", "number_of", "of_argument"]
 __all__ += ["path_of", "pixels_of", "progress_of", "rotation_of", "rows_of", "shown", "site_of"]
 __all__ += ["source_of", "utc_of", "vacant_folder_of", "values_by_column", "wrong"]
@@ -46,7 +47,8 @@ Table: TypeAlias = pd.DataFrame | Iterable[Mapping[str, Any]]
 ORTHONORMAL = 1e-6  # of R Rᵀ: a matrix printed with seven digits
 LONGEST_PATH, LONGEST_NAME = 4096, 255  # characters of a path and of each of its parts
 LONGEST_SHOWN = 80  # characters of an argument that a message repeats
-UNITS = {unit: unit for unit in ("deg", "rad", "arcsec", "m", "s")} | {"px": "pix"}  # by the end of a name
+UNITS = {of: of for of in ("deg", "rad", "arcsec", "m", "s", "um", "mm", "km")} | {"px": "pix"}
+UNITS |= {f"{a}_{b}": f"{a}/{b}" for a in ("m", "arcsec", "mrad", "deg") for b in ("s", "s2")}  # of a name
 Kind = TypeVar("Kind")
 
 
@@ -166,7 +168,7 @@ def instance_of(value: object, kind: type[Kind], name: str) -> Kind:
 def number_of(value: object, name: str, low: float = -math.inf, high: float = math.inf) -> float:
     """A finite number from `low` to `high`."""
     limits = "" if (low, high) == (-math.inf, math.inf) else f" from {low:g} to {high:g}"
-    value = _in_unit(value, name)
+    value = in_unit(value, name)
     try:
         if isinstance(value, str | bytes | bool):
             raise TypeError
@@ -192,7 +194,10 @@ def floats_of(value: object, name: str, shape: str, unit: str | None = None) -> 
     """An array of floating-point numbers; `shape` is what the message asks for. A Quantity of astropy, or
     what states its units in `attrs`, is converted to `unit`; None: that of the name.
     """
-    value = _in_unit(value, name, unit)
+    value = in_unit(value, name, unit)
+    columns = [str(one) for one in value.columns] if isinstance(value, pd.DataFrame) else []
+    if "".join(one[:1].lower() for one in columns) in ("yx", "xzy", "yxz", "yzx", "zxy", "zyx"):
+        raise wrong(name, f"the columns {', '.join(columns)}", "x before y before z")
     try:
         if isinstance(value, str | bytes):
             raise TypeError
@@ -207,7 +212,13 @@ def floats_of(value: object, name: str, shape: str, unit: str | None = None) -> 
     return numbers
 
 
-def _in_unit(value: Any, name: str, unit: str | None = None) -> Any:
+def is_symmetric(given: Floats) -> bool:
+    """Whether matrices (..., M, M) are finite, and symmetric to the digits of 32 bits."""
+    apart = np.abs(given - np.swapaxes(given, -1, -2))
+    return bool(np.isfinite(given).all() and apart.max(initial=0.0) <= 1e-6 * np.abs(given).max(initial=0.0))
+
+
+def in_unit(value: Any, name: str, unit: str | None = None) -> Any:
     """The value, or the numbers in `unit` of one that states its own; of a covariance in its square."""
     try:
         of_quantity = hasattr(value, "to_value")
@@ -216,8 +227,8 @@ def _in_unit(value: Any, name: str, unit: str | None = None) -> Any:
         stated = None
     if stated is None:
         return value
-    last = name.split(", ")[-1].split(" ")[0].rpartition("_")[2]
-    wanted = UNITS.get(last, "") if unit is None else unit
+    last = name.split(", ")[-1].split(" ")[0].split("_")
+    wanted = UNITS.get("_".join(last[-2:]), UNITS.get(last[-1], "")) if unit is None else unit
     try:
         from astropy.units import Quantity  # only where a unit is stated
 
@@ -266,10 +277,8 @@ def rotation_of(value: object, name: str) -> Rotation:
     matrix = floats_of(value, name, "(3, 3), or a scipy Rotation")
     if matrix.shape != (3, 3):
         raise wrong(name, matrix, "a scipy Rotation or a (3, 3) matrix")
-    if not np.isfinite(matrix).all():
-        raise wrong(name, "a matrix with values that are not finite", "finite values")
     off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
-    if off > ORTHONORMAL:
+    if not off <= ORTHONORMAL:  # NaN is not
         raise wrong(name, f"a matrix whose R Rᵀ is {off:.1e} off the identity", f"at most {ORTHONORMAL:g}")
     if np.linalg.det(matrix) < 0.0:
         raise wrong(name, "a matrix of determinant -1", "+1: a rotation, no reflection")
@@ -298,9 +307,10 @@ def _utc_text(value: Any) -> str | None:
         if value != value:  # pandas' NaT is a datetime
             return None
         utc = value if value.tzinfo is None else value.astimezone(datetime.UTC).replace(tzinfo=None)
-        return utc.isoformat(timespec="microseconds")
+        return utc.isoformat()  # of a pandas Timestamp with its nanoseconds
     if getattr(getattr(value, "dtype", None), "kind", "") == "M" and value.ndim == 0:  # also of xarray
-        return None if np.isnat(value) else str(np.asarray(value).astype("datetime64[ns]"))
+        instant: Any = np.asarray(value)[()]
+        return _utc_text(pd.Timestamp(instant))  # as datetime64[ns] 2609 would be 2024
     if type(value).__module__.startswith("astropy.time") and getattr(value, "isscalar", False):
         precise = value.utc.copy(format="isot")
         precise.precision = 9

@@ -198,7 +198,8 @@ def dump_from_arrays(
     for key, bits in (("star_bits", star_bits), ("remote_bits", remote_bits)):
         if bits is not None:
             count_of(bits, key, 8, 16)
-    _check_frame(orbit_frame)
+    if orbit_frame not in FRAMES:
+        raise wrong("orbit_frame", orbit_frame, " or ".join(FRAMES))
     of_ground = isinstance(strips, pd.DataFrame) and not (strips.get("kind", pd.Series()) == "sky").any()
     if targets is None and points is None and of_ground:
         raise wrong("targets, points", "neither of them", "targets, points or strips of kind sky")
@@ -217,8 +218,8 @@ def dump_from_arrays(
     write_remote_camera(folder, remote_camera, bits_used)
     mounting = {"quaternion_cs": R_cs.as_quat(canonical=True).tolist(), "sigma_rad": sigma}
     write_toml(folder / FILES["installation"], mounting)
-    name = instance_of(mission, str, "mission")
-    (folder / files["orbit"]).write_text(orbit_text(name, orbit_frame, orbit), encoding="utf-8")
+    states = orbit_text(instance_of(mission, str, "mission"), orbit_frame, orbit)
+    (folder / files["orbit"]).write_text(states, encoding="utf-8")
     if targets is not None:
         files["targets"] = "targets.csv"
         _write_targets(folder, rows_of(targets, "targets"), told)
@@ -226,7 +227,7 @@ def dump_from_arrays(
         files["points"] = "points.csv"
         columns = values_by_column(rows_of(points, "points"), MEASURED, "points")
         write_csv(folder / "points.csv", MEASURED, list(zip(*columns)))
-    head = head_of_dump(name, f"boresight {__version__}: dump_from_arrays")
+    head = head_of_dump(mission, f"boresight {__version__}: dump_from_arrays")
     if terrain is not None:
         files["terrain"] = "terrain/dem.tif"
         head["terrain"] = _terrain(folder, terrain, terrain_height_kind, terrain_sigma_m)
@@ -247,11 +248,6 @@ def _new_folder(out: PathLike | None) -> Path:
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
         return folder
     return vacant_folder_of(out, "out")
-
-
-def _check_frame(frame: object) -> None:
-    if frame not in FRAMES:
-        raise wrong("orbit_frame", frame, " or ".join(FRAMES))
 
 
 def _three(sigma: ArrayLike) -> list[float]:
@@ -334,7 +330,8 @@ def _terrain(folder: Path, terrain: Any, height_kind: str, sigma_m: float) -> di
 
 def orbit_text(mission: str, frame: str, orbit: Table) -> str:
     """An orbit message of the states of a table."""
-    _check_frame(frame)
+    if frame not in FRAMES:
+        raise wrong("orbit_frame", frame, " or ".join(FRAMES))
     rows = rows_of(orbit, "orbit")
     if len(rows) < FEWEST_STATES:
         raise wrong("orbit", f"{len(rows)} states", f"at least {FEWEST_STATES}")

@@ -103,14 +103,11 @@ def attitude_keys(
     frame: str, rotation: str, removed: str | None, line_of_sight_s: ArrayLike | None
 ) -> dict[str, Any]:
     """What attitudes.csv means, as keys of [[star_cameras]]."""
-    for name, value, allowed in (
-        ("attitude_frame", frame, FRAMES),
-        ("attitude_rotation", rotation, SENSES),
-        ("aberration_removed", removed, REMOVED),
-    ):
-        if value not in allowed:
-            raise wrong(name, value, " or ".join(allowed))
     keys: dict[str, Any] = {"frame": frame, "rotation": rotation, "aberration_removed": removed}
+    for (key, value), allowed in zip(keys.items(), (FRAMES, SENSES, REMOVED)):
+        if value not in allowed:
+            name = key if allowed is REMOVED else f"attitude_{key}"
+            raise wrong(name, value, " or ".join(allowed))
     expected = "a unit vector in the axes of the quaternions, (0, 0, 1) for z"
     if line_of_sight_s is None:
         if removed != "annual and orbital":

@@ -132,10 +132,8 @@ def match_template(
     if small.shape[0] > large.shape[0] or small.shape[1] > large.shape[1]:
         raise wrong("picture", f"shape {large.shape}", f"at least {small.shape}, the template's")
     start = floats_of(start_px, "start_px", "(2,)")
-    if start.shape != (2,) or not np.isfinite(start).all():
-        raise wrong("start_px", start_px, "(column, row), finite numbers")
-    if not (np.abs(start) <= MOST_PX).all():
-        raise wrong("start_px", start.tolist(), f"pixels up to {MOST_PX:g}")
+    if start.shape != (2,) or not (np.abs(start) <= MOST_PX).all():
+        raise wrong("start_px", start_px, f"(column, row), finite numbers up to {MOST_PX:g}")
     found = match_arrays(small, large, (float(start[0]), float(start[1])), radius, settings=chosen)
     if isinstance(found, Entry):
         return NotMatched(found.reason, found.value, found.limit, found.text)

@@ -638,9 +638,8 @@ def _target_residuals(folder: Path) -> pd.DataFrame:
 def _star_residuals(folder: Path) -> pd.DataFrame:
     """Stars of a result; of several dumps those of each, with its name."""
     if names := dumps_in(folder):
-        parts = [
-            _star_residuals(folder / name).assign(dump=name) for name in names if (folder / name).is_dir()
-        ]
+        made = [name for name in names if (folder / name).is_dir()]
+        parts = [_star_residuals(folder / name).assign(dump=name) for name in made]
         return pd.concat(parts, ignore_index=True)
     rows = read_sightings(folder, "stars", " ".join([*STARS, "xy_px", "residual_s"])).to_pandas()
     residual = np.array(rows["residual_s"].tolist(), dtype=float).reshape(-1, 3) / ARCSEC
@@ -687,7 +686,6 @@ def validate(result: Calibration | PathLike, dump: DumpLike) -> Validation:
     else:
         saved = estimate.saved
         if dump_identity(estimate._run[0].root) != dump_identity(flown.root):
-            raise RawDataError(
-                str(flown.root), "dump", "another dump", "the dump that the result is made from"
-            )
+            expected = "the dump that the result is made from"
+            raise RawDataError(str(flown.root), "dump", "another dump", expected)
     return Validation(errors=against_truth(saved, flown))

@@ -72,7 +72,5 @@ class CalibrationSettings:
         check_numbers(self, zero=(*sigmas, *others))
         if any(samples < 2 for samples in self.ccd_px):
             raise ValueError(f"ccd_px must be 2 or more for every CCD, got {self.ccd_px}")
-        if not 0.0 < self.probability_false_alarm < 0.5:
-            raise ValueError(
-                f"probability_false_alarm must lie in (0, 0.5), got {self.probability_false_alarm}"
-            )
+        if not 0.0 < (p := self.probability_false_alarm) < 0.5:
+            raise ValueError(f"probability_false_alarm must lie in (0, 0.5), got {p}")

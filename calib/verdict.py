@@ -29,7 +29,7 @@ from boresight.calib.reliability import HypothesisTest, Reliability
 from boresight.calib.simultaneous_strips import groups_of
 from boresight.geometry.sightings import GroundSightings, StripSightings
 from boresight.records.ledger import Kind, Reason, Subject
-from boresight.records.record import Floats, array, record, scalar
+from boresight.records.record import Floats, array, check_numbers, record, scalar
 
 __all__ = ["Check", "CheckKind", "Outcome", "Suspect", "Verdict", "VerdictSettings", "assess", "p_residuals"]
 
@@ -128,6 +128,9 @@ class VerdictSettings:
     sigma_overstated: float = scalar("tolerated factor of stated over true standard deviations", default=2.0)
     share_stars_rejected: float = scalar("tolerated share of stars with gross errors", default=0.02)
     share_targets_rejected: float = scalar("tolerated share of targets with gross errors", default=0.15)
+
+    def __post_init__(self) -> None:
+        check_numbers(self, zero=("share_stars_rejected", "share_targets_rejected"))
 
 
 @record(kw_only=True)

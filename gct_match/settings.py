@@ -50,7 +50,5 @@ class MatchSettings:
         zero = ("margin_px", "attitude_sigma_px", *limits)
         check_numbers(self, any_value=("saturation_dn", "no_data"), zero=zero)
         if self.smallest_template_px < LEAST_SIDE_PX:
-            least = f"at least {LEAST_SIDE_PX}: a side of fewer pixels shows no texture"
-            raise ValueError(
-                f"MatchSettings.smallest_template_px must be {least}, got {self.smallest_template_px}"
-            )
+            least = f"at least {LEAST_SIDE_PX}: a side of {self.smallest_template_px} pixels shows no texture"
+            raise ValueError(f"MatchSettings.smallest_template_px must be {least}")

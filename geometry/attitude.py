@@ -20,7 +20,7 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.earth_rotation import EarthRotation
-from boresight.records.record import Bools, Floats, Ints, array, record, scalar
+from boresight.records.record import Bools, Floats, Ints, array, check_numbers, record, scalar
 
 __all__ = [
     "Attitude",
@@ -301,8 +301,7 @@ class EarthFixedAttitude:
     span_s: tuple[float, float] = array("2", "first and last instant, TAI seconds since the epoch")
 
     def __post_init__(self) -> None:
-        if not self.scale_s > 0.0:
-            raise ValueError(f"scale_s must be positive, got {self.scale_s}")
+        check_numbers(self, any_value=("t_offset_s",))
 
     def R_si(self, t_s: ArrayLike) -> Rotation:
         """The rotation from GCRS to frame s at instants (N,)."""

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
-from boresight.records.record import Floats, array, record, scalar
+from boresight.records.record import Floats, array, check_numbers, record, scalar
 
 __all__ = [
     "Ccd",
@@ -139,8 +139,10 @@ class Ccd:
             raise ValueError(f"across_offsets_m must have 0 or {len(samples)} entries, got {len(across)}")
         if len(samples) == 1 or np.any(np.diff(samples) <= 0.0):
             raise ValueError(f"distortion_samples must be two or more in increasing order, got {samples}")
-        if not (self.n_px > 0 and self.pixel_m > 0.0):
-            raise ValueError(f"n_px and pixel_m must be positive, got {self.n_px}, {self.pixel_m}")
+        place = (self.y_first_m, self.x_offset_m, self.rotation_rad, self.principal_sample, self.pixel_m)
+        finite = np.isfinite([*place, *samples, *offsets, *across]).all()
+        if not (self.n_px > 0 and self.pixel_m > 0.0 and finite):
+            raise ValueError(f"n_px and pixel_m must be positive, all finite, got {self.n_px}, {place}")
         object.__setattr__(self, "distortion_samples", samples)
         object.__setattr__(self, "distortion_offsets_m", offsets)
         if len(samples):
@@ -238,12 +240,9 @@ class LineCamera:
     time_of_row: TimeOfRow = scalar("instant of the exposure that a row's time label means", default="middle")
 
     def __post_init__(self) -> None:
-        if not self.focal_m > 0.0:
-            raise ValueError(f"LineCamera.focal_m must be positive, got {self.focal_m}")
+        check_numbers(self)
         if not self.ccds:
             raise ValueError("LineCamera.ccds must hold at least one CCD")
-        if self.tdi_stages < 1:
-            raise ValueError(f"LineCamera.tdi_stages must be 1 or more, got {self.tdi_stages}")
         if self.time_of_row not in ("start", "middle", "end"):
             raise ValueError(f"LineCamera.time_of_row must be start, middle or end, got {self.time_of_row!r}")
 
@@ -308,7 +307,9 @@ class LookTable:
     tan_y: Floats = array("K", "u_y / u_z, strictly monotone")
 
     def __post_init__(self) -> None:
-        if len(self.samples) < 2 or np.any(np.diff(self.samples) <= 0.0):
+        for name in ("samples", "tan_x", "tan_y"):
+            object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
+        if len(self.samples) < 2 or not np.all(np.diff(self.samples) > 0.0) or np.isnan(self.tan_x).any():
             raise ValueError("LookTable needs two or more samples in increasing order, each with tangents")
         along = np.diff(self.tan_y)
         if not (np.all(along > 0.0) or np.all(along < 0.0)):

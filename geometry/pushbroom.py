@@ -39,7 +39,7 @@ from boresight.geometry.orbit import orbital_frame
 from boresight.geometry.row_table import RowTable, tabulated
 from boresight.geometry.terrain import ConstantHeight, Surface, intersect
 from boresight.geometry.terrain_rays import bilinear
-from boresight.records.record import Bools, Floats, Ints, record, scalar
+from boresight.records.record import Bools, Floats, Ints, check_numbers, record, scalar
 
 __all__ = ["Pushbroom", "RowClock", "outline_deg"]
 
@@ -82,8 +82,7 @@ class RowClock:
     )
 
     def __post_init__(self) -> None:
-        if not self.row_period_s > 0.0:
-            raise ValueError(f"RowClock.row_period_s must be positive, got {self.row_period_s}")
+        check_numbers(self, any_value=("t_first_row_s",))
 
     def instant(self, row: ArrayLike) -> Floats:
         """Time labels of (fractional) rows, elementwise, TAI seconds since the epoch."""

@@ -16,7 +16,6 @@ image, its middle at 0. Constant and linear terms are the camera's own.
 from __future__ import annotations
 
 import math
-import numbers
 from collections.abc import Callable
 from functools import lru_cache
 from typing import Literal, get_args
@@ -25,7 +24,7 @@ import numpy as np
 from numpy.polynomial.legendre import legval
 from numpy.typing import ArrayLike, NDArray
 
-from boresight.records.record import Bools, Floats, array, record, scalar, value_text
+from boresight.records.record import Bools, Floats, array, check_numbers, record, scalar, value_text
 
 __all__ = [
     "LEAST_FORWARD",
@@ -141,11 +140,7 @@ class StarCamera:
         if not isinstance(self.projection, str) or self.projection not in get_args(Projection):
             found = f"{' or '.join(get_args(Projection))} expected, got {value_text(self.projection)}"
             raise ValueError(f"StarCamera.projection: {found}")
-        for name in ("focal_m", "pixel_m", "width_px", "height_px"):
-            value = getattr(self, name)
-            is_number = isinstance(value, numbers.Real)
-            if not is_number or not 0 < value < math.inf:
-                raise ValueError(f"StarCamera.{name} must be a positive number, got {value_text(value)}")
+        check_numbers(self, any_value=("p1", "p2", "q1", "q2", "q3"))
 
     @property
     def field_radius_rad(self) -> float:
@@ -282,7 +277,7 @@ class StarCamera:
     def from_opencv(
         cls,
         camera_matrix: ArrayLike,
-        distortion: ArrayLike = (),
+        distortion: ArrayLike | None = (),
         *,
         size_px: tuple[int, int],
         pixel_m: float = 5e-6,
@@ -293,12 +288,16 @@ class StarCamera:
         `size_px` is (width, height). The pitch `pixel_m` changes no direction. `ValueError` where pixels are
         not square to 1e-3, or there are further coefficients that are not zero.
         """
-        (f_x, skew, x0), (_, f_y, y0), _ = np.asarray(camera_matrix, dtype=np.float64).tolist()
-        k1, k2, p1, p2, k3, *more = np.append(distortion, np.zeros(5)).tolist()
-        if not (f_x > 0.0 and abs(f_y / f_x - 1.0) < _SQUARE and abs(skew) < _SQUARE * f_x):
+        matrix = np.asarray(camera_matrix, dtype=np.float64)
+        if matrix.shape != (3, 3) or matrix[2].tolist() != [0.0, 0.0, 1.0]:
             raise ValueError(
-                f"camera_matrix: focal lengths alike to {_SQUARE:g} expected, got {f_x:g}, {f_y:g}"
+                f"camera_matrix: (f, 0, x), (0, f, y), (0, 0, 1) expected, got {matrix.tolist()}"
             )
+        (f_x, skew, x0), (_, f_y, y0), _ = matrix.tolist()
+        k1, k2, p1, p2, k3, *more = np.append(() if distortion is None else distortion, np.zeros(5)).tolist()
+        if not (f_x > 0.0 and abs(f_y / f_x - 1.0) < _SQUARE and abs(skew) < _SQUARE * f_x):
+            alike = f"focal lengths alike to {_SQUARE:g}, no skew"
+            raise ValueError(f"camera_matrix: {alike} expected, got {f_x:g}, {f_y:g}, {skew:g}")
         if any(more):
             raise ValueError(f"distortion: k1, k2, p1, p2, k3 expected, got further ones: {more}")
         focal_m = float(np.sqrt(f_x * f_y)) * pixel_m

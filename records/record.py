@@ -263,20 +263,30 @@ def shape_of(field: dataclasses.Field[Any]) -> tuple[int | str, ...] | None:
 
 
 def value_text(value: object) -> str:
-    """A number or text as Python writes it, cut short; of anything else its type. One line."""
-    return repr(value)[:80] if isinstance(value, str | int | float) else f"a {type(value).__name__}"
+    """A number, text or collection as Python writes it, cut short; of anything else its type. One line."""
+    known = isinstance(value, str | int | float | list | tuple | dict)
+    try:
+        return " ".join(repr(value).split())[:160] if known else f"a {type(value).__name__}"
+    except Exception:  # an integer of thousands of digits, or what a collection holds
+        return f"a {type(value).__name__} too long to be shown"
 
 
 def check_numbers(record: Any, *, any_value: tuple[str, ...] = (), zero: tuple[str, ...] = ()) -> None:
     """`ValueError` unless each field of a record that is declared as a number is one, finite and positive.
 
     Fields of `zero` may also be 0, those of `any_value` any number, infinite and NaN too; one declared as
-    `... | None` may be None.
+    `... | None` may be None. Probabilities, shares and modulations are at most 1; pairs are finite.
     """
     for field in dataclasses.fields(record):
         kind, value = str(field.type), cast(Any, getattr(record, field.name))
         name = f"{type(record).__name__}.{field.name}"
-        if kind.split(" |")[0] not in ("float", "int") or (value is None and kind.endswith("None")):
+        if value is None and kind.endswith("None"):
+            continue
+        if kind.startswith("tuple[float, float]"):
+            is_pair = isinstance(value, tuple | list) or getattr(value, "shape", ()) == (2,)
+            if [_is_finite(one) for one in (value if is_pair else ())] != [True, True]:
+                raise ValueError(f"{name} must be two finite numbers, got {value_text(value)}")
+        if kind.split(" |")[0] not in ("float", "int"):
             continue
         whole = kind.startswith("int")
         is_number = isinstance(value, numbers.Integral if whole else numbers.Real)
@@ -284,9 +294,17 @@ def check_numbers(record: Any, *, any_value: tuple[str, ...] = (), zero: tuple[s
             raise ValueError(f"{name} must be a {'whole ' if whole else ''}number, got {value_text(value)}")
         if field.name in any_value and not (isinstance(value, int) and abs(value) > LARGEST_NUMBER):
             continue
-        if not abs(value) < LARGEST_NUMBER or value < 0 or (value == 0 and field.name not in zero):
+        part = any(word in field.name for word in ("probability", "share_", "mtf_"))
+        far = value > 1 if part else not abs(value) < LARGEST_NUMBER
+        if far or not value >= 0 or (value == 0 and field.name not in zero):
             expected = "zero or positive" if field.name in zero else "positive"
-            raise ValueError(f"{name} must be {expected} and finite, got {value}")
+            raise ValueError(
+                f"{name} must be {expected} and {'at most 1' if part else 'finite'}, got {value}"
+            )
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, numbers.Real) and bool(abs(cast(Any, value)) < LARGEST_NUMBER)
 
 
 def _row_fields(record: Any) -> list[str]:

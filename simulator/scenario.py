@@ -19,7 +19,7 @@ from typing import Any, ClassVar
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from boresight.records.record import record
+from boresight.records.record import record, value_text
 
 __all__ = [
     "CloudSettings",
@@ -425,7 +425,7 @@ def scenario_from_dict(values: dict[str, Any]) -> Scenario:
     values = dict(values)
     based_on = values.pop("based_on", "paper")
     if not isinstance(based_on, str):
-        raise ScenarioError(f"based_on: expected a name, found {_shown(based_on)}")
+        raise ScenarioError(f"based_on: expected a name, found {value_text(based_on)}")
     merged = _merged(_codec().dump_python(builtin_scenario(based_on), mode="json"), values, "")
     try:
         return _codec().validate_json(json.dumps(merged, default=str), strict=True)
@@ -438,7 +438,7 @@ def scenario_from_dict(values: dict[str, Any]) -> Scenario:
         says = says.replace("Input should be", "expected").replace(
             "Unexpected keyword argument", "unknown setting"
         )
-        raise ScenarioError(f"{where[1:]}: {says}, found {_shown(first['input'])}") from error
+        raise ScenarioError(f"{where[1:]}: {says}, found {value_text(first['input'])}") from error
 
 
 def scenario_to_dict(scenario: Scenario) -> dict[str, Any]:
@@ -457,7 +457,7 @@ def _codec() -> TypeAdapter[Scenario]:
 def _merged(base: dict[str, Any], values: Any, path: str) -> dict[str, Any]:
     """Tables with the given values in place of their own."""
     if not isinstance(values, dict):
-        raise ScenarioError(f"{path or 'scenario'}: expected a table, found {_shown(values)}")
+        raise ScenarioError(f"{path or 'scenario'}: expected a table, found {value_text(values)}")
     merged = dict(base)
     for key, value in values.items():
         where = f"{path}.{key}" if path else key
@@ -470,17 +470,10 @@ def _merged(base: dict[str, Any], values: Any, path: str) -> dict[str, Any]:
 
 def _check_numbers(value: Any, where: str) -> None:
     """Refuse what no setting comes near, of which pydantic would tell no key: NaN, integers of any length."""
-    if isinstance(value, (int, float)) and not abs(value) <= LARGEST:
-        raise ScenarioError(f"{where}: expected a number up to {LARGEST:g}, found {_shown(value)}")
+    too_large = isinstance(value, (int, float)) and not abs(value) <= LARGEST
+    _refuse(too_large, where, f"a number up to {LARGEST:g}", value)
     for one in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
         _check_numbers(one, where)
-
-
-def _shown(value: Any) -> str:
-    try:
-        return repr(value)[:160]
-    except (ValueError, RecursionError):  # an integer of thousands of digits
-        return f"a {type(value).__name__} too long to be shown"
 
 
 # Settings that are positive.
@@ -499,52 +492,43 @@ def _check(scenario: Scenario) -> None:
     camera, sky, line, strips = scenario.star_camera, scenario.sky, scenario.line_camera, scenario.strips
     ground, targets = scenario.ground, scenario.targets
     for name in _POSITIVE:
-        if not (value := attrgetter(name)(scenario)) > 0:
-            raise ScenarioError(f"{name}: expected a positive number, found {_shown(value)}")
-    if not strips.count + len(scenario.sky_strips.scans) > 0:
-        raise ScenarioError(f"strips.count: expected a positive number, found {strips.count}")
+        _refuse(not (value := attrgetter(name)(scenario)) > 0, name, "a positive number", value)
+    without = not strips.count + len(scenario.sky_strips.scans) > 0
+    _refuse(without, "strips.count", "a positive number", strips.count)
     for name, bits in (("sky.bits", sky.bits), ("ground.bits", ground.bits)):
-        if not 8 <= bits <= 16:
-            raise ScenarioError(f"{name}: expected 8 to 16, found {bits}")
+        _refuse(not 8 <= bits <= 16, name, "8 to 16", bits)
     if camera.exposure_s * camera.rate_hz > 1.0:
-        raise ScenarioError(
-            f"star_camera.exposure_s: expected at most {1 / camera.rate_hz} s, found {camera.exposure_s}"
-        )
-    if len(line.rotation_urad) != line.ccds:
-        raise ScenarioError(
-            f"line_camera.rotation_urad: expected {line.ccds} values, found {len(line.rotation_urad)}"
-        )
+        _refuse(True, "star_camera.exposure_s", f"at most {1 / camera.rate_hz} s", camera.exposure_s)
+    turned = len(line.rotation_urad)
+    _refuse(turned != line.ccds, "line_camera.rotation_urad", f"{line.ccds} values", turned)
     needed = strips.lines * strips.row_period_s + 2.0 * strips.exposure_lead_s
-    if strips.count > 1 and strips.spacing_s <= needed:
-        raise ScenarioError(
-            f"strips.spacing_s: expected more than a strip and its exposures last, {needed:.3f} s, "
-            f"found {strips.spacing_s}"
-        )
+    longer = f"more than a strip and its exposures last, {needed:.3f} s"
+    _refuse(strips.count > 1 and strips.spacing_s <= needed, "strips.spacing_s", longer, strips.spacing_s)
     _check_scans(scenario)
     for wave in scenario.attitude.waves:
-        if wave.axis not in ("roll", "pitch", "yaw"):
-            raise ScenarioError(f"attitude.waves.axis: expected roll, pitch or yaw, found {wave.axis!r}")
+        _refuse(
+            wave.axis not in ("roll", "pitch", "yaw"), "attitude.waves.axis", "roll, pitch or yaw", wave.axis
+        )
     for name, nyquist in (("ground.mtf_nyquist", ground.mtf_nyquist), ("chip", targets.chip_mtf_nyquist)):
-        if not 0.0 < nyquist < 1.0:
-            raise ScenarioError(f"{name}: expected a value between 0 and 1, found {nyquist}")
+        _refuse(not 0.0 < nyquist < 1.0, name, "a value between 0 and 1", nyquist)
+
+
+def _refuse(is_wrong: bool, name: str, expected: str, found: object) -> None:
+    if is_wrong:
+        raise ScenarioError(f"{name}: expected {expected}, found {value_text(found)}")
 
 
 def _check_scans(scenario: Scenario) -> None:
     """Scans of the sky that overlap in time with another strip, or stand still."""
     strips, sky = scenario.strips, scenario.sky_strips
     lead = strips.exposure_lead_s
-    starts = [
-        (strips.first_s + n * strips.spacing_s, strips.lines * strips.row_period_s)
-        for n in range(strips.count)
-    ]
+    duration_s = strips.lines * strips.row_period_s
+    starts = [(strips.first_s + n * strips.spacing_s, duration_s) for n in range(strips.count)]
     starts += [(scan.at_s, sky.lines * sky.row_period_s) for scan in sky.scans]
-    starts.sort()
-    for (first, duration), (second, _) in pairwise(starts):
+    for (first, duration), (second, _) in pairwise(sorted(starts)):
         if sky.scans and second - lead <= first + duration + lead:
-            raise ScenarioError(
-                f"sky_strips.scans.at_s: expected strips and their exposures one after another, found one at "
-                f"{first} s that lasts {duration:.3f} s and one at {second} s"
-            )
+            found = f"one at {first} s that lasts {duration:.3f} s and one at {second} s"
+            after = "strips and their exposures one after another"
+            raise ScenarioError(f"sky_strips.scans.at_s: expected {after}, found {found}")
     for n, scan in enumerate(sky.scans):
-        if scan.rate == 0.0:
-            raise ScenarioError(f"sky_strips.scans[{n}].rate: expected pixels a row, not zero, found 0")
+        _refuse(scan.rate == 0.0, f"sky_strips.scans[{n}].rate", "pixels a row, not zero", 0)

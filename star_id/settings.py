@@ -35,10 +35,7 @@ class StarSettings:
     max_photocentre_shift_px: float = scalar("limit for displaced stars, px", default=0.02)
 
     def __post_init__(self) -> None:
-        check_numbers(
-            self, any_value=("saturation_dn",), zero=("epoch_error_years", "max_photocentre_shift_px")
-        )
+        zero = ("epoch_error_years", "max_photocentre_shift_px")
+        check_numbers(self, any_value=("saturation_dn",), zero=zero)
         if self.saturation_dn is not None and not self.saturation_dn > 0.0:
             raise ValueError(f"StarSettings.saturation_dn must be positive, got {self.saturation_dn}")
-        if self.smear_px is not None and len(self.smear_px) != 2:
-            raise ValueError(f"StarSettings.smear_px must be (column, row), got {self.smear_px}")

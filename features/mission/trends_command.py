@@ -14,7 +14,8 @@ from boresight.features.mission.saved_mounting import instant_s, utc_at
 from boresight.features.mission.trends import Trend, trend_of
 from boresight.features.mission.trends_page import trends_html
 from boresight.pipeline.console.arguments import RequireArcsec, RequireMetres
-from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, LIMIT_MISSED, Answer
+from boresight.pipeline.console.messages import DONE, LIMIT_MISSED, Answer
+from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.whole_file import write_json, write_text
 from boresight.pipeline.results.calibration_file import calibration_text
 from boresight.pipeline.results.requirement import Requirement
@@ -48,7 +49,7 @@ def trends_command(
     found = [trend_of(one, at_s, wanted, settings) for one in series_of(archive)]
     trends = [trend for trend in found if trend is not None]
     if not trends:
-        return Answer(text="no series of the archive has two results", exit_status=DATA_DID_NOT_ALLOW)
+        raise DataNotSufficientError("no series of the archive has two results; add more by `archive add`")
     out.mkdir(parents=True, exist_ok=True)
     alarm = any(trend.alarms for trend in trends)
     content = {"at": utc_at(at_s), "alarm": alarm, "series": [trend.content() for trend in trends]}

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from boresight.accepted import PathLike, number_of, path_of, wrong
+from boresight.accepted import PathLike, in_unit, number_of, path_of, wrong
 from boresight.features.planning.campaign_plan import Plan, PlanForecast, forecast_plan, read_plan
 from boresight.pipeline.run.settings import settings_from_values
 
@@ -50,27 +50,22 @@ def forecast(
     >>> bs.forecast({"strips": {"count": 12}}).table.columns.tolist()
     ['strips', 'axis', 'sigma_arcsec', 'floor_arcsec']
     """
-    wanted = (
-        None
-        if target_arcsec is None
-        else number_of(target_arcsec, "target_arcsec", LEAST_ARCSEC, MOST_ARCSEC)
-    )
-    return forecast_plan(_plan(plan), wanted)
+    if target_arcsec is not None:
+        target_arcsec = number_of(target_arcsec, "target_arcsec", LEAST_ARCSEC, MOST_ARCSEC)
+    return forecast_plan(_plan(plan), target_arcsec)
 
 
 def _plan(plan: object) -> Plan:
-    if plan is None:
-        return Plan()
-    if isinstance(plan, Mapping):
-        values = {key: _plain(part) for key, part in plan.items()}
-        return settings_from_values(Plan, values, "plan", "plan")
+    if plan is None or isinstance(plan, Mapping):
+        return settings_from_values(Plan, _plain(plan or {}, "plan"), "plan", "plan")
     if not isinstance(plan, str | os.PathLike):
         raise wrong("plan", plan, "the path of a TOML file, or a mapping of sections")
     return read_plan(path_of(plan, "plan"))
 
 
-def _plain(value: object) -> Any:
-    """Mappings as dictionaries, arrays as lists, and NumPy's numbers as Python's."""
+def _plain(value: object, name: str) -> Any:
+    """Mappings as dictionaries, arrays as lists, and NumPy's numbers as Python's, in the unit of the name."""
     if isinstance(value, Mapping):
-        return {key: _plain(one) for key, one in value.items()}
+        return {key: _plain(one, f"{name}.{key}") for key, one in value.items()}
+    value = in_unit(value, name)
     return value.tolist() if isinstance(value, np.generic | np.ndarray) else value

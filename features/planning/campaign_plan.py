@@ -20,7 +20,7 @@ from boresight.pipeline.files.text_files import toml_tables
 from boresight.pipeline.forecast.accuracy import Forecast
 from boresight.pipeline.forecast.campaigns import PLAN_DRAWS, SkyPart, compare_campaigns, forecast_of_plan
 from boresight.pipeline.run.settings import settings_from_values
-from boresight.records.record import record
+from boresight.records.record import check_numbers, record
 from boresight.simulator.campaign import CameraPair, StripPlan, installation_by_tilt
 
 if TYPE_CHECKING:
@@ -34,6 +34,12 @@ TARGET_COUNTS = (3, 4, 6, 8, 12, 16, 24, 32, 48)
 ALL_ERRORS = "all errors"  # name of the variant in which no error is left out
 # Factor of a sigma that cannot be zero, in the forecast without that error (set by hand).
 NEGLIGIBLE = 0.01  # of a sigma that cannot be zero
+# Numbers of a plan that may be zero.
+MAY_BE_ZERO = (
+    *("count", "exposure_margin_s", "sigma_px", "sigma_m", "position_m", "clock_s", "distortion_px"),
+    *("vibration_arcsec", "motion_arcsec", "random_walk_arcsec", "bias_walk_arcsec_s", "bias_arcsec_s"),
+    "white_arcsec",
+)
 DRAWS = 25  # example strips for each number of targets, which are plotted and not compared
 
 
@@ -52,8 +58,7 @@ class PlannedCameras:
     n_ccds: int = 4
 
     def __post_init__(self) -> None:
-        _check_counts(self, 65_536, "star_width_px", "star_height_px", "ccd_px")
-        _check_counts(self, 64, "n_ccds")
+        _check(self, star_width_px=65_536, star_height_px=65_536, ccd_px=65_536, n_ccds=64)
 
 
 @record(by_value=True)
@@ -69,8 +74,7 @@ class PlannedStrips:
     height_km: float = 530.0
 
     def __post_init__(self) -> None:
-        _check_counts(self, 1_000_000, "count")
-        _check_counts(self, 1000, "exposures", "stars")
+        _check(self, count=1_000_000, exposures=1000, stars=1000)
 
 
 @record(by_value=True)
@@ -84,7 +88,9 @@ class PlannedTargets:
     sigma_m: float = 0.0
 
     def __post_init__(self) -> None:
-        _check_counts(self, 10_000, "count")
+        _check(self, count=10_000)
+        if not (self.across[0] <= self.across[1] and self.along[0] <= self.along[1]):
+            raise ValueError(f"across and along must increase, got {self.across} and {self.along}")
 
 
 @record(by_value=True)
@@ -99,11 +105,9 @@ class PlannedSky:
     rate_mrad_s: float = 3.6  # of the scan: rows last the longer, the slower it is
 
     def __post_init__(self) -> None:
-        _check_counts(self, 1000, "exposures", "stars")
+        _check(self, exposures=1000, stars=1000)
         if not 0 <= self.count <= 1_000_000:
             raise ValueError(f"count must be 0 to 1000000, got {self.count}")
-        if not self.rate_mrad_s > 0.0:
-            raise ValueError(f"rate_mrad_s must be positive, got {self.rate_mrad_s}")
 
 
 @record(by_value=True)
@@ -117,6 +121,7 @@ class PlannedGyro:
     step_s: float = 0.1  # from row to row
 
     def __post_init__(self) -> None:
+        _check(self)
         if not 1e-3 <= self.step_s <= 100.0:
             raise ValueError(f"step_s must be 0.001 to 100, got {self.step_s}")
 
@@ -141,6 +146,9 @@ class PlannedErrors:
     motion_s: float = 0.8
     distortion_px: float = 0.3
     distortion_length_px: float = 2000.0
+
+    def __post_init__(self) -> None:
+        _check(self)
 
 
 @record(by_value=True)
@@ -297,10 +305,12 @@ def _limit_lines(without: pd.DataFrame) -> list[str]:
     return lines
 
 
-def _check_counts(record: object, most: int, *names: str) -> None:
-    for name in names:
-        if not 1 <= getattr(record, name) <= most:
-            raise ValueError(f"{name} must be 1 to {most}, got {getattr(record, name)}")
+def _check(record: object, **most: int) -> None:
+    """`ValueError` for counts that are not 1 to `most`, and for numbers that no campaign has."""
+    for name, limit in most.items():
+        if not 1 <= getattr(record, name) <= limit:
+            raise ValueError(f"{name} must be 1 to {limit}, got {getattr(record, name)}")
+    check_numbers(record, zero=MAY_BE_ZERO, any_value=("star_from_zenith_deg",))
 
 
 def _campaign(plan: Plan) -> tuple[StripPlan, CameraPair]:

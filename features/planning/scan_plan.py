@@ -33,7 +33,7 @@ from boresight.geometry.sightings import (
 )
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
-from boresight.records.record import Floats, Ints, array, record, scalar
+from boresight.records.record import Floats, Ints, array, check_numbers, record, scalar
 from boresight.simulator.motion import acceleration
 
 __all__ = ["PlannedScan", "ScanCameras", "ScanChoice", "ScanSettings", "angles_to_bodies", "choose_scans"]
@@ -65,9 +65,7 @@ class ScanSettings:
     seed: int = 1
 
     def __post_init__(self) -> None:
-        for name in ("duration_s", "rate_mrad_s", "exposures_hz", "hours"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
+        check_numbers(self, zero=("count", "sun_deg", "moon_deg", "earth_deg", "seed"))
         if not 1 <= self.count <= self.candidates:
             raise ValueError(f"count must be 1 to the candidates, {self.candidates}, got {self.count}")
 

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from boresight.accepted import floats_of, wrong
+from boresight.accepted import floats_of, is_symmetric, wrong
 from boresight.records.record import Floats
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.star_list import StarList
@@ -25,8 +25,9 @@ USUAL_PSF_PX = 1.2
 
 
 def are_centroids(given: object) -> TypeGuard[NDArray[np.generic] | pd.DataFrame]:
-    """Whether an argument is a table, or an array (N, 2): no image is two pixels wide."""
-    shape = getattr(given, "shape", None)
+    """Whether an argument is a table, or an array or list (N, 2): no image is two pixels wide."""
+    first = given[0] if isinstance(given, list) and given else None
+    shape = (1, len(first)) if isinstance(first, list | tuple) else getattr(given, "shape", None)
     return isinstance(given, pd.DataFrame) or (shape is not None and len(shape) == 2 and shape[1] == 2)
 
 
@@ -45,7 +46,7 @@ def star_list_of(
     snr = None
     if isinstance(xy_px, pd.DataFrame):
         table = xy_px
-        if missing := {"x_px", "y_px"} - set(table):
+        if missing := {"x_px", "y_px", *(["sigma_y_px"] if "sigma_x_px" in table else [])} - set(table):
             columns = ", ".join(map(str, table))
             raise wrong("xy_px", f"a table with the columns {columns}", f"also {min(missing)}")
         xy_px, snr = table[["x_px", "y_px"]].to_numpy(), table.get("snr")
@@ -58,11 +59,15 @@ def star_list_of(
         if stated.size not in (1, n):
             raise wrong("sigma_px", stated, f"a number or shape ({n},)")
         sigma = np.broadcast_to(stated, (n,))
-        cov = sigma[:, None, None] ** 2 * np.eye(2)
+        cov = (sigma * np.abs(sigma))[:, None, None] * np.eye(2)
     else:
         cov = _finite(cov_px, "cov_px", (n, 2, 2))
-    if n and not (np.linalg.eigvalsh(cov) > 0.0).all():
-        raise wrong("sigma_px" if cov_px is None else "cov_px", "an error of 0 px", "errors above")
+    if n and not (is_symmetric(cov) and (np.linalg.eigvalsh(cov) > 0.0).all()):
+        found = "errors of 0 px or below, or a covariance that is none"
+        raise wrong("sigma_px" if cov_px is None else "cov_px", found, "errors above 0 px")
+    half = 0.5 * np.array(sides)
+    if (beyond := float((np.abs(xy + 0.5 - half) - half).max(initial=0.0))) > 1.0:
+        raise wrong("xy_px", f"a centroid {beyond:.4g} px outside of {size_px} px", "(column, row) inside")
     flux: Floats = np.array(np.arange(n, 0.0, -1.0)) if flux_dn is None else _finite(flux_dn, "flux_dn", (n,))
     stars = Centroids(
         xy_px=xy,
@@ -77,7 +82,8 @@ def star_list_of(
 def _covariances(table: pd.DataFrame) -> Floats:
     """(N, 2, 2) px² of the columns sigma_x_px, sigma_y_px and, if there, cov_xy_px2."""
     across = table.get("cov_xy_px2", 0.0 * table["sigma_x_px"])
-    rows = [[table["sigma_x_px"] ** 2, across], [across, table["sigma_y_px"] ** 2]]
+    x, y = (table[name] * table[name].abs() for name in ("sigma_x_px", "sigma_y_px"))
+    rows = [[x, across], [across, y]]
     return np.moveaxis(np.array(rows, dtype=np.float64), 2, 0)
 
 

@@ -15,7 +15,7 @@ import pandas as pd
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
-from boresight.accepted import floats_of, listed, shown, wrong
+from boresight.accepted import floats_of, is_symmetric, listed, shown, wrong
 from boresight.features.vectors.target_places import SeenPlaces, seen_places
 from boresight.features.vectors.vector_estimate import VectorCalibration
 from boresight.geometry.orbit import Orbit
@@ -82,9 +82,7 @@ def information_of_start(sigma: Any) -> Floats | None:
     name, expected = "sigma_R_cs0_rad", "1-sigma errors, 0 to pi or infinite, or a positive covariance (3, 3)"
     given = floats_of(sigma, name, "(), (3,) or (3, 3)")
     if given.shape == (3, 3):
-        if not (
-            np.isfinite(given).all() and np.allclose(given, given.T) and np.linalg.eigvalsh(given)[0] > 0.0
-        ):
+        if not (is_symmetric(given) and np.linalg.eigvalsh(given)[0] > 0.0):
             raise wrong(name, sigma, expected)
         return np.asarray(np.linalg.inv(given))
     inside = ((given >= 0.0) & (given <= np.pi)) | np.isposinf(given)
@@ -143,7 +141,8 @@ def _is_table(value: Any) -> bool:
 def _numbered(instants: Any, n: int) -> Ints:
     """A whole number (K,) for each frame, equal where the labels of their instants are."""
     labels = listed(instants, "instants", "labels of the frames' instants")
-    if len(labels) != n or not all(isinstance(one, Hashable) for one in labels):
+    missing = (not isinstance(one, Hashable) or one is None or one is pd.NA or one != one for one in labels)
+    if len(labels) != n or any(missing):
         raise wrong("instants", instants, f"{n} labels, one for each frame")
     number: dict[Hashable, int] = {}
     return np.array([number.setdefault(one, len(number)) for one in labels], dtype=np.int64)
@@ -225,21 +224,16 @@ def _errors(value: Any, name: str, counts: Sequence[int], one: bool) -> tuple[Fl
         errors = floats_of(part, at, f"(), ({n},) or covariances ({n}, 3, 3)", unit="rad")
         if errors.shape not in ((), (n,), (n, 3, 3)):
             raise wrong(at, f"shape {errors.shape}", f"a number or shape ({n},), or covariances ({n}, 3, 3)")
-        if errors.ndim == 3 and not (
-            np.isfinite(errors).all() and np.allclose(errors, np.swapaxes(errors, 1, 2))
-        ):
+        if errors.ndim == 3 and not is_symmetric(errors):
             raise wrong(at, errors, "covariances, symmetric and finite, rad²")
-        axes = np.broadcast_to(errors, n) if errors.ndim < 3 else np.linalg.eigvalsh(errors)[:, 1:]
-        axes = axes if errors.ndim < 3 else np.sqrt(np.maximum(axes, 0.0))
-        bad = ~((axes >= SIGMA_RAD[0]) & (axes <= SIGMA_RAD[1]))
-        if bad.any():
+        full = errors.ndim == 3
+        axes = np.linalg.eigvalsh(errors)[:, 1:] if full else np.broadcast_to(errors, n)
+        axes = np.copysign(np.sqrt(np.abs(axes)), axes) if full else axes  # below 0 of what is no covariance
+        if (bad := ~((axes >= SIGMA_RAD[0]) & (axes <= SIGMA_RAD[1]))).any():
             expected = "1-sigma errors above 0, from {:g} to {:g} rad".format(*SIGMA_RAD)
-            raise wrong(
-                at, float(axes[bad][0]), expected + (", across the vectors" if errors.ndim == 3 else "")
-            )
-        sigmas.append(axes if errors.ndim < 3 else axes.max(axis=1))
-        isotropic = axes[..., None, None] ** 2 * np.eye(3) if errors.ndim < 3 else errors
-        covariances.append((errors.ndim == 3, isotropic))
+            raise wrong(at, float(axes[bad][0]), expected + ", across the vectors" * full)
+        sigmas.append(axes.max(axis=1) if full else axes)
+        covariances.append((full, errors if full else axes[..., None, None] ** 2 * np.eye(3)))
     some = any(stated for stated, _ in covariances)
     return np.concatenate(sigmas), np.concatenate([one for _, one in covariances]) if some else None
 

@@ -23,7 +23,7 @@ from boresight.geometry.line_camera import LineSensor
 from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.dump_schema import Errors
 from boresight.pipeline.files.text_files import expected_of, toml_tables
-from boresight.records.record import record
+from boresight.records.record import check_numbers, record
 from boresight.star_id.settings import StarSettings
 from boresight.star_id.strip_stars.settings import StripStarSettings
 
@@ -44,12 +44,7 @@ class RunSettings:
     settled_px: float = 2.0  # a strip whose targets are all predicted so closely is not matched again
 
     def __post_init__(self) -> None:
-        if self.rounds < 1:
-            raise ValueError(f"rounds must be 1 or more, got {self.rounds}")
-        if not self.settled_px >= 0.0:
-            raise ValueError(f"settled_px must not be negative, got {self.settled_px}")
-        if not self.exposure_margin_s > 0.0:
-            raise ValueError(f"exposure_margin_s must be positive, got {self.exposure_margin_s}")
+        check_numbers(self, zero=("settled_px",))
 
 
 @record(by_value=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from boresight.records.record import record, scalar
+from boresight.records.record import check_numbers, record, scalar
 
 __all__ = ["StripStarSettings"]
 
@@ -26,6 +26,4 @@ class StripStarSettings:
     )
 
     def __post_init__(self) -> None:
-        for name in ("false_alarms_per_strip", "max_smear_rows", "sigmas", "max_false_alarm_probability"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"StripStarSettings.{name} must be positive, got {getattr(self, name)}")
+        check_numbers(self, zero=("max_name_error",))

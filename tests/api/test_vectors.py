@@ -1,6 +1,7 @@
 """`calibrate_vectors`: wrong inputs are named, wrong vectors do no harm, the result says how good it is."""
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 from wrong_vectors import R_TRUE, Given, drawn_vectors, nees_of
@@ -143,3 +144,31 @@ def test_a_start_tens_of_degrees_off_is_refused_and_ten_is_no_obstacle() -> None
     assert nees_of(found.R_cs, found.cov_theta) < 22.0  # chi-square, 3 degrees of freedom, 1 in 10 000
     with pytest.raises(ValueError, match="half of them"):
         bs.calibrate_vectors(*given._replace(R_cs0=Rotation.from_euler("x", 60, degrees=True) * R_TRUE))
+
+
+@pytest.mark.parametrize("change", ["an upper half alone", "one side", "NaN", "the wrong sign"])
+@pytest.mark.parametrize("name", ["sigma_s", "sigma_c", "sigma_R_cs0_rad"])
+def test_a_covariance_of_any_size_is_symmetric_or_refused(name: str, change: str) -> None:
+    given = drawn_vectors(np.random.default_rng(8))
+    cov = np.diag([1.0, 2.0, 3.0]) * 1e-11 + 2e-12
+    broken = {
+        "an upper half alone": np.triu(cov),
+        "one side": cov + np.array([[0.0, 0.0, 1e-12], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]),
+        "NaN": np.where(np.eye(3)[::-1] > 0.0, np.nan, cov),
+        "the wrong sign": -cov,
+    }[change]
+    for matrix, refused in ((cov, False), (cov.astype(np.float32), False), (broken, True)):
+        value = 1e6 * matrix if name == "sigma_R_cs0_rad" else [np.broadcast_to(matrix, (20, 3, 3))]
+        named = given._asdict() | {name: value}
+        if refused:
+            with pytest.raises(ValueError, match=f"^{name}( of frame 0)?: found"):
+                bs.calibrate_vectors(**named)
+        else:
+            assert bs.calibrate_vectors(**named).dof > 30
+
+
+@pytest.mark.parametrize("missing", [None, np.nan, pd.NaT, pd.NA])
+def test_a_label_of_an_instant_is_not_missing(missing: object) -> None:
+    given = drawn_vectors(np.random.default_rng(8), frames=3)
+    with pytest.raises(ValueError, match=r"^instants: found .*, expected 3 labels, one for each frame"):
+        bs.calibrate_vectors(*given, instants=["a", missing, missing])

@@ -77,6 +77,16 @@ def test_all_commands_of_the_program_are_among_the_tasks():
     assert [name for name in names if f"boresight {name}" not in text] == []
 
 
+def test_the_page_of_json_names_every_command_that_answers_in_it():
+    from boresight.features.table import features
+    from boresight.pipeline.console.program import SPINE
+
+    told = (ROOT / "docs" / "json.md").read_text().partition(" print one JSON object")[0]
+    commands = [one for feature in (SPINE, *features()) for one in feature.commands]
+    with_json = {one.name for one in commands if one.with_json}
+    assert set(re.findall(r"`([a-z0-9 -]+)`", told)) == with_json and len(with_json) > 10
+
+
 def test_an_api_page_must_hold_every_exported_name_with_its_text():
     # `make docs` asks this of every page that it has built.
     sys.path.insert(0, str(ROOT / "scripts"))

@@ -1,5 +1,7 @@
 """Line cameras: what the numbers of Table 3 mean; samples and directions are each other's inverse."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
@@ -142,6 +144,23 @@ def test_look_angles_are_inverted_in_either_order_along_the_line(sign):
         2 * h
     )
     assert np.abs(camera.sample_jacobian(0, at) - difference).max() < 1e-14
+
+
+def test_no_detector_has_a_number_that_is_not_finite():
+    table = {"samples": [0.0, 5.0, 9.0], "tan_x": [0.1, 0.2, 0.1], "tan_y": [-0.1, 0.0, 0.1]}
+    lists, arrays = (
+        LookAngleCamera((LookTable(10, **of),))
+        for of in (table, {key: np.array(value) for key, value in table.items()})
+    )
+    assert np.array_equal(lists.directions_from_pixels(0, [3.0]), arrays.directions_from_pixels(0, [3.0]))
+    for key, value in table.items():
+        with pytest.raises(ValueError, match="LookTable"):
+            LookTable(10, **(table | {key: [value[0], np.nan, value[2]]}))
+    across = {"across_offsets_m": 0.1 * TABLE_3[:, 1]}
+    for key, value in {f.name: getattr(ccd(**across), f.name) for f in fields(Ccd) if f.init}.items():
+        broken = np.where(np.arange(np.size(value)) == 1, np.nan, value) if np.ndim(value) else np.nan
+        with pytest.raises(ValueError, match=r"finite|positive|increasing"):
+            ccd(**(across | {key: broken}))
 
 
 def test_look_angles_that_double_back_are_refused():

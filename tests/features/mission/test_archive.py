@@ -114,6 +114,12 @@ def test_a_finished_result_is_added_once_and_read_by_pandas_and_as_a_geopackage(
     assert blob[:4] == b"GP\x00\x01" and len(blob) == 8 + 21
 
 
+def test_an_archive_of_one_result_says_in_json_what_a_trend_needs(finished, tmp_path):
+    invoked("archive", "add", finished[1], "--to", tmp_path)
+    told = ran("trends", tmp_path, "--out", tmp_path / "t", "--json", status=1)
+    assert "two results" in json.loads(told.stdout)["error"]["message"]
+
+
 def test_a_folder_without_a_result_is_refused(tmp_path):
     with pytest.raises(RawDataError, match="a finished result"):
         add_results([tmp_path], tmp_path / "archive")

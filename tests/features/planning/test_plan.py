@@ -6,6 +6,7 @@ from dataclasses import fields
 from functools import partial
 from pathlib import Path
 
+import astropy.units as u
 import numpy as np
 import pandas as pd
 import pytest
@@ -13,6 +14,7 @@ from command_line import ran
 from drawn_pictures import SERIES_COLOURS, shows_curves
 from recorded_numbers import assert_recorded, columns_of, numbers_in
 
+import boresight as bs
 from boresight.features.paper.tables import hipparcos_fields
 from boresight.features.paper.vector_experiments import ExperimentSettings
 from boresight.features.planning import campaign_plan
@@ -27,6 +29,7 @@ from boresight.features.planning.campaign_plan import (
 )
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.forecast import campaigns
+from boresight.pipeline.run.settings import settings_from_values
 
 
 @pytest.fixture
@@ -151,7 +154,7 @@ def test_only_some_experiments_go_through_pixels():
     ran("experiment", "figure8", "--out", "nowhere", "--pixels", status=2)
 
 
-@pytest.mark.parametrize("text", ["[strips]\nduration_s = 1e-300", "[errors]\nclock_s = 1e300"])
+@pytest.mark.parametrize("text", ["[strips]\nduration_s = 1e-300", "[errors]\nclock_s = 1e299"])
 def test_campaign_whose_information_has_no_number_is_told_and_ends(tmp_path, text):
     (tmp_path / "plan.toml").write_text(text)
     with pytest.raises(DataNotSufficientError, match="cannot be forecast"):
@@ -166,3 +169,33 @@ def test_count_that_no_campaign_has_is_told_with_its_range(tmp_path, section, ke
     (tmp_path / "plan.toml").write_text(f"[{section}]\n{key} = {value}\n")
     with pytest.raises(RawDataError, match=f"plan.{section}: found {key} must be 1 to .*, got {value}"):
         read_plan(tmp_path / "plan.toml")
+
+
+def test_no_number_of_a_plan_is_negative_but_an_angle():
+    sections = {part.name: part.default_factory() for part in fields(Plan)}
+    numbers = {
+        (name, key.name): getattr(section, key.name)
+        for name, section in sections.items()
+        for key in fields(section)
+        if key.type in ("float", "int")
+    }
+    assert len(numbers) > 30
+    for (name, key), value in numbers.items():
+        given = {name: {key: type(value)(-1)}}
+        if key == "star_from_zenith_deg":
+            assert settings_from_values(Plan, given, "plan", "plan").cameras.star_from_zenith_deg == -1.0
+            continue
+        with pytest.raises(RawDataError, match=f"plan.{name}: found .*{key} must be"):
+            settings_from_values(Plan, given, "plan", "plan")
+    for key in ("across", "along"):
+        with pytest.raises(RawDataError, match=r"plan.targets: found across and along must increase"):
+            settings_from_values(Plan, {"targets": {key: [1.0, -1.0]}}, "plan", "plan")
+
+
+def test_numbers_of_a_plan_with_units_are_those_without(few_draws):
+    given = {"strips": {"height_km": 5e5 * u.m}, "sky": {"count": 1, "rate_mrad_s": 0.2 * u.deg / u.s}}
+    same = {"strips": {"height_km": 500.0}, "sky": {"count": 1, "rate_mrad_s": 0.2e3 * np.pi / 180.0}}
+    tables = [bs.forecast(plan).campaigns["sigma_arcsec"].to_numpy() for plan in (given, same)]
+    assert tables[0] == pytest.approx(tables[1], rel=1e-9)
+    with pytest.raises(ValueError, match=r"plan.sky.rate_mrad_s: .* expected numbers in mrad/s"):
+        bs.forecast({"sky": {"rate_mrad_s": 3.0 * u.s}})

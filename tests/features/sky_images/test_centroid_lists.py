@@ -48,6 +48,8 @@ def test_a_table_with_errors_gives_the_answer_of_the_list(stars, named):
 def test_a_camera_tells_the_size_of_the_image(stars, named):
     found = bs.identify(stars.xy_px, camera=named.camera)
     assert set(named.hip[:30]) <= set(found.hip)
+    listed = bs.identify(stars.xy_px.tolist(), camera=named.camera)
+    assert (listed.R_si * found.R_si.inv()).magnitude() == 0.0
     track = bs.track([stars.xy_px, stars, SCENE / "e0001.png"], camera=named.camera)
     assert "lost" not in track.state
     assert (track.R_si(0) * track.R_si(1).inv()).magnitude() < 1e-4  # rad; a third of a pixel
@@ -59,7 +61,7 @@ def test_lists_are_cut_and_joined_in_the_order_of_flux(stars):
     assert (stars[stars.snr > 50.0].snr > 50.0).all()
     assert len(stars[3]) == 1
     with pytest.raises(ValueError, match="stars of an image of"):
-        first + bs.Stars.of_centroids(stars.xy_px, size_px=(99, 99))
+        first + bs.Stars.of_centroids(stars.xy_px, size_px=(2048, 2048))
 
 
 @pytest.mark.parametrize(
@@ -69,12 +71,33 @@ def test_lists_are_cut_and_joined_in_the_order_of_flux(stars):
         (np.full((5, 2), np.nan), (64, 64), "finite"),
         (pd.DataFrame({"x_px": [1.0]}), (64, 64), "also y_px"),
         (pd.DataFrame({"x_px": [1.0], "y_px": [1.0], "sigma_px": [0.0]}), (64, 64), "sigma_px"),
+        (pd.DataFrame({"x_px": [1.0], "y_px": [1.0], "sigma_x_px": [0.1]}), (64, 64), "also sigma_y_px"),
+        (
+            pd.DataFrame({"x_px": [1.0], "y_px": [1.0], "sigma_x_px": [-1], "sigma_y_px": [1]}),
+            (9, 9),
+            "above 0",
+        ),
+        (np.array([[1.0, 2.0], [700.0, 3.0]]), (480, 640), "220.5 px outside of"),  # (height, width)
+        (np.array([[1.0, -2.0]]), (480, 640), "1.5 px outside of"),
         (np.zeros((64, 64), np.uint8), (64, 64), "size"),
     ],
 )
 def test_what_is_no_list_of_centroids_is_refused_in_words(given, size, said):
     with pytest.raises(ValueError, match=said):
         bs.identify(given, size=size)
+
+
+@pytest.mark.parametrize("size", [1.0, 1e-4, 1e-8])  # px²
+def test_errors_of_centroids_are_positive_and_covariances_symmetric(size):
+    xy, even = np.array([[5.0, 6.0], [7.0, 8.0]]), size * np.array([[2.0, 0.5], [0.5, 1.0]])
+    kept = bs.Stars.of_centroids(xy, size_px=(64, 64), cov_px=[even, even])
+    assert kept.cov_px[1].tolist() == even.tolist()
+    for wrong in ([[2.0, 0.5], [0.6, 1.0]], [[2.0, 0.5], [0.0, 1.0]], [[2.0, 3.0], [3.0, 1.0]], -even / size):
+        with pytest.raises(ValueError, match=r"^cov_px: found .*, expected errors above 0 px"):
+            bs.Stars.of_centroids(xy, size_px=(64, 64), cov_px=[even, size * np.array(wrong)])
+    for sigma in (-np.sqrt(size), [size, -size], 0.0):
+        with pytest.raises(ValueError, match=r"^sigma_px: found .*, expected errors above 0 px"):
+            bs.Stars.of_centroids(xy, size_px=(64, 64), sigma_px=sigma)
 
 
 def test_an_empty_list_is_not_identified():
@@ -93,5 +116,12 @@ def test_an_opencv_camera_projects_as_opencv_does():
     assert np.abs(camera.pixels_from_directions(u_s) - expected).max() < 1e-9  # px, of rounding
     back = camera.opencv_parameters()
     assert np.allclose(back.camera_matrix, matrix) and np.allclose(back.distortion, distortion)
+    plain = [
+        bs.StarCamera.from_opencv(matrix.tolist(), no, size_px=(640, 480)) for no in (None, (), [0.0] * 8)
+    ]
+    assert repr(plain[0]) == repr(plain[1]) == repr(plain[2])
+    for wrong in (matrix.T, 2.0 * matrix, matrix[:2], 900.0, np.nan * matrix):
+        with pytest.raises(ValueError, match=r"^camera_matrix: \(f, 0, x\)"):
+            bs.StarCamera.from_opencv(wrong, size_px=(640, 480))
     with pytest.raises(ValueError, match="alike"):
         bs.StarCamera.from_opencv(np.diag([900.0, 950.0, 1.0]), size_px=(640, 480))
