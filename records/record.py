@@ -277,30 +277,45 @@ def check_numbers(record: Any, *, any_value: tuple[str, ...] = (), zero: tuple[s
     Fields of `zero` may also be 0, those of `any_value` any number, infinite and NaN too; one declared as
     `... | None` may be None. Probabilities, shares and modulations are at most 1; pairs are finite.
     """
-    for field in dataclasses.fields(record):
-        kind, value = str(field.type), cast(Any, getattr(record, field.name))
-        name = f"{type(record).__name__}.{field.name}"
-        if value is None and kind.endswith("None"):
+    for name, (kind, is_pair, may_be_none, part) in _numbers_of(type(record)).items():
+        value, said = cast(Any, getattr(record, name)), f"{type(record).__name__}.{name}"
+        if value is None and may_be_none:
             continue
-        if kind.startswith("tuple[float, float]"):
-            is_pair = isinstance(value, tuple | list) or getattr(value, "shape", ()) == (2,)
-            if [_is_finite(one) for one in (value if is_pair else ())] != [True, True]:
-                raise ValueError(f"{name} must be two finite numbers, got {value_text(value)}")
-        if kind.split(" |")[0] not in ("float", "int"):
+        if is_pair:
+            is_two = isinstance(value, tuple | list) or getattr(value, "shape", ()) == (2,)
+            if [_is_finite(one) for one in (value if is_two else ())] != [True, True]:
+                raise ValueError(f"{said} must be two finite numbers, got {value_text(value)}")
             continue
-        whole = kind.startswith("int")
-        is_number = isinstance(value, numbers.Integral if whole else numbers.Real)
-        if isinstance(value, bool) or not is_number:
-            raise ValueError(f"{name} must be a {'whole ' if whole else ''}number, got {value_text(value)}")
-        if field.name in any_value and not (isinstance(value, int) and abs(value) > LARGEST_NUMBER):
+        is_number = type(value) is kind or (isinstance(value, _NUMBERS[kind]) and not isinstance(value, bool))
+        if not is_number:
+            whole = "whole " if kind is int else ""
+            raise ValueError(f"{said} must be a {whole}number, got {value_text(value)}")
+        if name in any_value and not (isinstance(value, int) and abs(value) > LARGEST_NUMBER):
             continue
-        part = any(word in field.name for word in ("probability", "share_", "mtf_"))
         far = value > 1 if part else not abs(value) < LARGEST_NUMBER
-        if far or not value >= 0 or (value == 0 and field.name not in zero):
-            expected = "zero or positive" if field.name in zero else "positive"
-            raise ValueError(
-                f"{name} must be {expected} and {'at most 1' if part else 'finite'}, got {value}"
-            )
+        if far or not value >= 0 or (value == 0 and name not in zero):
+            expected = "zero or positive" if name in zero else "positive"
+            limit = "at most 1" if part else "finite"
+            raise ValueError(f"{said} must be {expected} and {limit}, got {value}")
+
+
+_NUMBERS: dict[type, Any] = {float: numbers.Real, int: numbers.Integral}
+
+
+@cache
+def _numbers_of(cls: type) -> dict[str, tuple[type, bool, bool, bool]]:
+    """Fields declared as numbers or pairs: the type, whether a pair, may be None, is a part of 1."""
+    kinds = {field.name: str(field.type) for field in dataclasses.fields(cast(Any, cls))}
+    return {
+        name: (
+            int if kind.startswith("int") else float,
+            kind.startswith("tuple"),
+            kind.endswith("None"),
+            any(word in name for word in ("probability", "share_", "mtf_")),
+        )
+        for name, kind in kinds.items()
+        if kind.split(" |")[0] in ("float", "int", "tuple[float, float]")
+    }
 
 
 def _is_finite(value: Any) -> bool:
