@@ -734,7 +734,7 @@ def _pixels(image: object, name: str) -> _Pixels:
     if isinstance(image, str | os.PathLike):
         path = path_of(image, name)
         pixels = read_star_image(path, str(path))
-        return _Pixels(_large(pixels, name), None, pixels.dtype.kind == "f")
+        return _Pixels(_as_counts(_large(pixels, name)), None, pixels.dtype.kind == "f")
     try:
         planes = np.asarray(image)
     except Exception:  # of ragged lists and foreign classes
@@ -744,11 +744,9 @@ def _pixels(image: object, name: str) -> _Pixels:
         raise wrong(name, "an array of which all is masked", "pixels that are not masked")
     if planes.ndim not in (2, 3) or planes.dtype.kind not in "uif" or not planes.size:
         raise wrong(name, planes, "numbers of shape (H, W) or (H, W, 3), or a path")
-    if planes.dtype.kind in "ui" and planes.dtype not in (np.uint8, np.uint16):
-        if planes.min() < 0 or planes.max() > MOST_COUNTS:
-            found = f"integers from {planes.min()} to {planes.max()}"
-            raise wrong(name, found, f"counts from 0 to {MOST_COUNTS}, or floating point")
-        planes = planes.astype(np.uint16)
+    if planes.dtype.kind in "ui" and not 0 <= planes.min() <= planes.max() <= MOST_COUNTS:
+        found = f"integers from {planes.min()} to {planes.max()}"
+        raise wrong(name, found, f"counts from 0 to {MOST_COUNTS}, or floating point")
     floating = planes.dtype.kind == "f"
     no_number = ~np.isfinite(planes) if floating else None
     if hidden is not None:  # of a masked array: as what is no number
@@ -766,8 +764,8 @@ def _pixels(image: object, name: str) -> _Pixels:
 
 
 def _as_counts(grey: NDArray[Any]) -> NDArray[Any]:
-    """Whole numbers as 8 or 16 bits, whatever type they came in: one image has one list of stars."""
-    if grey.dtype == np.uint8 or grey.min() < 0 or grey.max() > MOST_COUNTS or (grey != np.rint(grey)).any():
+    """Whole floating numbers as 8 or 16 bits, as integers are: one image has one list of stars."""
+    if grey.dtype.kind != "f" or not 0 <= grey.min() <= grey.max() <= MOST_COUNTS or (grey % 1.0).any():
         return grey
     return grey.astype(np.uint8 if grey.max() <= 255 else np.uint16)
 

@@ -1,11 +1,13 @@
 """Forms of a star image, what is said of what is not among its stars, and its coordinates on the sky."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
 from astropy.coordinates import SkyCoord
+from astropy.io import fits
 from astropy.wcs import WCS
 from scipy.spatial.transform import Rotation
 
@@ -43,6 +45,21 @@ def test_every_type_of_an_image_gives_the_same_stars(pixels: np.ndarray, kind: t
     assert apart.max() < 0.05  # of a standard error
     np.testing.assert_allclose(found.sigma_px, known.sigma_px, rtol=1e-3)
     assert np.array_equal(found.saturated, known.saturated)
+
+
+@pytest.mark.parametrize("kind", [np.int16, np.uint16, np.int32, np.int64])
+def test_integers_of_a_file_are_counts_whatever_type_holds_them(
+    pixels: np.ndarray, kind: type, tmp_path: Path
+) -> None:
+    known, image = bs.find_stars(pixels), pixels.astype(kind)
+    np.save(tmp_path / "sky.npy", image)
+    fits.PrimaryHDU(image).writeto(tmp_path / "sky.fits")
+    assert known.saturated.any()
+    for given in (image, tmp_path / "sky.npy", tmp_path / "sky.fits"):
+        found = bs.find_stars(given)
+        assert found.pixels is not None and found.pixels.dtype == np.uint8
+        for name in ("xy_px", "cov_px", "flux_dn", "saturated"):
+            assert np.array_equal(getattr(found, name), getattr(known, name)), name
 
 
 def test_a_floating_image_without_saturation_says_so(pixels: np.ndarray) -> None:
