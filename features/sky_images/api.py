@@ -34,7 +34,7 @@ from boresight.accepted import (
 from boresight.display import Result, SuccessfulResult, axes_or_new
 from boresight.features.sky_images.centroid_lists import are_centroids, star_list_of
 from boresight.features.sky_images.frame_facts import observer_at
-from boresight.features.sky_images.identify_images import bound_words, departure, sky_index
+from boresight.features.sky_images.identify_images import bound_words, departure, sky_index, with_unknown_time
 from boresight.features.sky_images.image_time import with_error_of_focus
 from boresight.features.sky_images.overlay import named_sky
 from boresight.features.sky_images.planets import planets_in_view
@@ -587,7 +587,7 @@ def identify(
         stars.star_list,
         stars.size_px,
         sky_index(known, width_deg, chosen),
-        chosen,
+        with_unknown_time(chosen),
         camera=known,
         fov_x_rad=None if width_deg is None else float(np.radians(width_deg)),
         observer=observer,
@@ -713,7 +713,7 @@ def calibrate_star_camera(
     index = sky_index(None, float(np.degrees(camera.fov_x_rad)), chosen)
     observers = [None] * len(every) if utc is None else [observer_at(time, place) for time in utc]
     frames = [SkyFrame(*frame) for frame in zip(names, (stars.star_list for stars in every), observers)]
-    fit = calibrate_camera(frames, camera, index, chosen)
+    fit = calibrate_camera(frames, camera, index, with_unknown_time(chosen))
     return fit if isinstance(fit, NotIdentified) else CameraSolution(fit=fit)
 
 
