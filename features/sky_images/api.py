@@ -570,7 +570,6 @@ def identify(
     ...     print(len(solution.hip) > 50, solution.sigma_arcsec[0] < 5)
     True True
     """
-
     known, width_deg = _known_of(camera, fov_deg)
     chosen = instance_of(settings, StarSettings, "settings")
     if site is not None and time is None:
@@ -677,7 +676,6 @@ def calibrate_star_camera(
     >>> found.rms_px < 0.2
     True
     """
-
     camera, fov_deg = _known_of(camera, fov_deg)
     chosen, told = instance_of(settings, StarSettings, "settings"), progress_of(progress)
     place = None if site is None else site_of(site)
@@ -756,18 +754,16 @@ def _pixels(image: object, name: str) -> _Pixels:
         grey = _large(grey_image(planes, name), name)
     except RawDataError as error:
         raise of_argument(name, error) from error
-    if no_number is not None:
-        no_number = no_number.reshape(*planes.shape[:2], -1).any(axis=2)
-    return _Pixels(
-        _as_counts(grey), no_number if no_number is not None and no_number.any() else None, floating
-    )
+    if no_number is not None and planes.ndim == 3:
+        no_number = no_number.any(axis=0 if planes.shape[1:] == grey.shape else 2)
+    hidden = no_number if no_number is not None and no_number.any() else None
+    return _Pixels(_as_counts(grey), hidden, floating)
 
 
 def _as_counts(grey: NDArray[Any]) -> NDArray[Any]:
     """Whole floating numbers as 8 or 16 bits, as integers are: one image has one list of stars."""
-    if grey.dtype.kind != "f" or not 0 <= grey.min() <= grey.max() <= MOST_COUNTS or (grey % 1.0).any():
-        return grey
-    return grey.astype(np.uint8 if grey.max() <= 255 else np.uint16)
+    whole = grey.dtype.kind == "f" and 0 <= grey.min() <= grey.max() <= MOST_COUNTS and not (grey % 1).any()
+    return grey.astype(np.uint8 if grey.max() <= 255 else np.uint16) if whole else grey
 
 
 def _large(pixels: NDArray[np.generic], name: str) -> NDArray[np.generic]:

@@ -75,6 +75,9 @@ def test_masked_pixels_and_misshapen_detections_are_counted(pixels: np.ndarray) 
     stars = bs.find_stars(image)
     assert stars.masked == 200
     assert "200 masked pixels" in repr(stars)
+    for colours in (np.stack([image] * 3, axis=2), np.stack([image] * 3), image[None]):
+        for given in (colours, np.ma.masked_invalid(colours)):
+            assert bs.find_stars(given).masked == 200
     known = bs.find_stars(pixels)
     assert f"{len(known.misshapen_px)} misshapen detections" in repr(known)
     two = np.array([437.0, 362.0])  # bright stars side by side, which no single PSF explains
