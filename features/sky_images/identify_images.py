@@ -139,8 +139,7 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
 
 def _named(planets: Sequence[Planet]) -> str:
     """The planets that are detected, as text."""
-    seen = [f"{p.name} at ({p.x_px:.0f}, {p.y_px:.0f}) px" for p in planets if p.detection >= 0]
-    return "".join(f"   {text}" for text in seen)
+    return "".join(f"   {p.name} at ({p.x_px:.0f}, {p.y_px:.0f}) px" for p in planets if p.detection >= 0)
 
 
 def _of_centroids(
@@ -239,9 +238,7 @@ def _draw(
     """Write the image with what is in it named, a mirror image reversed."""
     from boresight.features.sky_images.overlay import named_sky  # with Matplotlib's fonts 0.3 s to load
 
-    if found.mirrored:
-        image = image[:, ::-1]
-    picture = named_sky(image, found, planets)
+    picture = named_sky(image[:, ::-1] if found.mirrored else image, found, planets)
     if not cv2.imwrite(str(path), picture[:, :, ::-1]):
         raise RawDataError(str(path), "overlay", "could not be written", "the name of a PNG file in a folder")
 
