@@ -34,7 +34,7 @@ from boresight.accepted import (
 from boresight.display import Result, SuccessfulResult, axes_or_new
 from boresight.features.sky_images.centroid_lists import are_centroids, star_list_of
 from boresight.features.sky_images.frame_facts import observer_at
-from boresight.features.sky_images.identify_images import bound_words, departure, sky_index
+from boresight.features.sky_images.identify_images import bound_words, departure, sky_index, with_unknown_time
 from boresight.features.sky_images.image_time import with_error_of_focus
 from boresight.features.sky_images.overlay import named_sky
 from boresight.features.sky_images.planets import planets_in_view
@@ -558,7 +558,6 @@ def identify(
     ...     print(len(solution.hip) > 50, solution.sigma_arcsec[0] < 5)
     True True
     """
-
     known, width_deg = _known_of(camera, fov_deg)
     chosen = instance_of(settings, StarSettings, "settings")
     if site is not None and time is None:
@@ -575,7 +574,7 @@ def identify(
         stars.star_list,
         stars.size_px,
         sky_index(known, width_deg, chosen),
-        chosen,
+        with_unknown_time(chosen),
         camera=known,
         fov_x_rad=None if width_deg is None else float(np.radians(width_deg)),
         observer=observer,
@@ -665,7 +664,6 @@ def calibrate_star_camera(
     >>> found.rms_px < 0.2
     True
     """
-
     camera, fov_deg = _known_of(camera, fov_deg)
     chosen, told = instance_of(settings, StarSettings, "settings"), progress_of(progress)
     place = None if site is None else site_of(site)
@@ -703,7 +701,7 @@ def calibrate_star_camera(
     index = sky_index(None, float(np.degrees(camera.fov_x_rad)), chosen)
     observers = [None] * len(every) if utc is None else [observer_at(time, place) for time in utc]
     frames = [SkyFrame(*frame) for frame in zip(names, (stars.star_list for stars in every), observers)]
-    fit = calibrate_camera(frames, camera, index, chosen)
+    fit = calibrate_camera(frames, camera, index, with_unknown_time(chosen))
     return fit if isinstance(fit, NotIdentified) else CameraSolution(fit=fit)
 
 
@@ -717,7 +715,7 @@ def _pixels(image: object, name: str) -> _Pixels:
     if isinstance(image, str | os.PathLike):
         path = path_of(image, name)
         pixels = read_star_image(path, str(path))
-        return _Pixels(_large(pixels, name), None, pixels.dtype.kind == "f")
+        return _Pixels(_as_counts(_large(pixels, name)), None, pixels.dtype.kind == "f")
     try:
         planes = np.asarray(image)
     except Exception:  # of ragged lists and foreign classes
@@ -727,11 +725,9 @@ def _pixels(image: object, name: str) -> _Pixels:
         raise wrong(name, "an array of which all is masked", "pixels that are not masked")
     if planes.ndim not in (2, 3) or planes.dtype.kind not in "uif" or not planes.size:
         raise wrong(name, planes, "numbers of shape (H, W) or (H, W, 3), or a path")
-    if planes.dtype.kind in "ui" and planes.dtype not in (np.uint8, np.uint16):
-        if planes.min() < 0 or planes.max() > MOST_COUNTS:
-            found = f"integers from {planes.min()} to {planes.max()}"
-            raise wrong(name, found, f"counts from 0 to {MOST_COUNTS}, or floating point")
-        planes = planes.astype(np.uint16)
+    if planes.dtype.kind in "ui" and not 0 <= planes.min() <= planes.max() <= MOST_COUNTS:
+        found = f"integers from {planes.min()} to {planes.max()}"
+        raise wrong(name, found, f"counts from 0 to {MOST_COUNTS}, or floating point")
     floating = planes.dtype.kind == "f"
     no_number = ~np.isfinite(planes) if floating else None
     if hidden is not None:  # of a masked array: as what is no number
@@ -741,18 +737,16 @@ def _pixels(image: object, name: str) -> _Pixels:
         grey = _large(grey_image(planes, name), name)
     except RawDataError as error:
         raise of_argument(name, error) from error
-    if no_number is not None:
-        no_number = no_number.reshape(*planes.shape[:2], -1).any(axis=2)
-    return _Pixels(
-        _as_counts(grey), no_number if no_number is not None and no_number.any() else None, floating
-    )
+    if no_number is not None and planes.ndim == 3:
+        no_number = no_number.any(axis=0 if planes.shape[1:] == grey.shape else 2)
+    hidden = no_number if no_number is not None and no_number.any() else None
+    return _Pixels(_as_counts(grey), hidden, floating)
 
 
 def _as_counts(grey: NDArray[Any]) -> NDArray[Any]:
-    """Whole numbers as 8 or 16 bits, whatever type they came in: one image has one list of stars."""
-    if grey.dtype == np.uint8 or grey.min() < 0 or grey.max() > MOST_COUNTS or (grey != np.rint(grey)).any():
-        return grey
-    return grey.astype(np.uint8 if grey.max() <= 255 else np.uint16)
+    """Whole floating numbers as 8 or 16 bits, as integers are: one image has one list of stars."""
+    whole = grey.dtype.kind == "f" and 0 <= grey.min() <= grey.max() <= MOST_COUNTS and not (grey % 1).any()
+    return grey.astype(np.uint8 if grey.max() <= 255 else np.uint16) if whole else grey
 
 
 def _large(pixels: NDArray[np.generic], name: str) -> NDArray[np.generic]:

@@ -48,6 +48,7 @@ __all__ = [
     "read_camera",
     "read_sky_image",
     "sky_index",
+    "with_unknown_time",
 ]
 
 # Least rms displacement, px, by which a given camera is said not to fit: twice what a calibration may leave.
@@ -90,13 +91,13 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
     dark = None if request.dark_file is None else read_star_image(request.dark_file, str(request.dark_file))
     fov = None if request.fov_deg is None else float(np.radians(request.fov_deg))
     observers = {} if request.catalogue_places else _observers(images, request.known)
-    timeless = replace(settings, epoch_error_years=settings.epoch_error_years or EPOCH_ERROR_YEARS)
+    settings = with_unknown_time(settings)
     index = sky_index(camera, request.fov_deg, settings)
     width = max(len(str(path)) for path in images)
     for path in images:
         started = time.process_time()
         if path.suffix.lower() == ".csv":
-            for name, solved in _of_centroids(path, camera, request, index, timeless):
+            for name, solved in _of_centroids(path, camera, request, index, settings):
                 if isinstance(solved, NotIdentified):
                     yield _unnamed(name, width, "not identified", solved.reason, started)
                     continue
@@ -109,10 +110,9 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
                 shapes = (f"{d.shape[1]} x {d.shape[0]} px" for d in (dark, image))
                 raise RawDataError(str(request.dark_file), "image size", *shapes)
             observer = observers.get(str(path))
-            known = timeless if observer is None else settings
-            stars = list_stars(image, known, dark)
+            stars = list_stars(image, settings, dark)
             size = (image.shape[1], image.shape[0])
-            outcome = solve_list(stars, size, index, known, camera=camera, fov_x_rad=fov, observer=observer)
+            solved = solve_list(stars, size, index, settings, camera=camera, fov_x_rad=fov, observer=observer)
         except RawDataError as error:
             yield _unnamed(path, width, "not read", str(error), started)
             continue
@@ -120,27 +120,26 @@ def identify_images(images: Sequence[Path], request: Request, settings: StarSett
             reason = internal_error(error, "identify")
             yield _unnamed(path, width, "not identified", reason, started)
             continue
-        if isinstance(outcome, NotIdentified):
-            reason = explained(outcome, image, stars.saturation_dn).reason
+        if isinstance(solved, NotIdentified):
+            reason = explained(solved, image, stars.saturation_dn).reason
             line = _unnamed(path, width, "not identified", reason, started)
             yield replace(line, image=image, stars=stars)
             continue
-        outcome, spent_ms = with_error_of_focus(outcome, path), _spent_ms(started)
-        planets = () if observer is None else planets_in_view(outcome, observer)
+        solved, spent_ms = with_error_of_focus(solved, path), _spent_ms(started)
+        planets = () if observer is None else planets_in_view(solved, observer)
         if request.overlay is not None:
-            _draw(image, outcome, planets, request, own_name(request.overlay, path, len(images)))
-        record = _record(path, outcome, spent_ms)
+            _draw(image, solved, planets, request, own_name(request.overlay, path, len(images)))
+        record = _record(path, solved, spent_ms)
         record["planets"] = [
             {"name": p.name, "xy_px": [p.x_px, p.y_px], "detected": p.detection >= 0} for p in planets
         ]
-        text = f"{path!s:{width}s}   {_facts(record, outcome)}{_named(planets)}"
-        yield Line(text, True, record, outcome, image, stars, planets)
+        text = f"{path!s:{width}s}   {_facts(record, solved)}{_named(planets)}"
+        yield Line(text, True, record, solved, image, stars, planets)
 
 
 def _named(planets: Sequence[Planet]) -> str:
     """The planets that are detected, as text."""
-    seen = [f"{p.name} at ({p.x_px:.0f}, {p.y_px:.0f}) px" for p in planets if p.detection >= 0]
-    return "".join(f"   {text}" for text in seen)
+    return "".join(f"   {p.name} at ({p.x_px:.0f}, {p.y_px:.0f}) px" for p in planets if p.detection >= 0)
 
 
 def _of_centroids(
@@ -239,9 +238,7 @@ def _draw(
     """Write the image with what is in it named, a mirror image reversed."""
     from boresight.features.sky_images.overlay import named_sky  # with Matplotlib's fonts 0.3 s to load
 
-    if found.mirrored:
-        image = image[:, ::-1]
-    picture = named_sky(image, found, planets)
+    picture = named_sky(image[:, ::-1] if found.mirrored else image, found, planets)
     if not cv2.imwrite(str(path), picture[:, :, ::-1]):
         raise RawDataError(str(path), "overlay", "could not be written", "the name of a PNG file in a folder")
 
@@ -274,6 +271,11 @@ def check_field(fov_deg: float | None) -> None:
             " state 175, or crop the image"
         )
         raise RawDataError("--fov", "value", f"{fov_deg}", expected)
+
+
+def with_unknown_time(settings: StarSettings) -> StarSettings:
+    """Settings by which stars of images without time have the errors of unknown years."""
+    return replace(settings, epoch_error_years=settings.epoch_error_years or EPOCH_ERROR_YEARS)
 
 
 def departure(found: FieldSolution) -> str:

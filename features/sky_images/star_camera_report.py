@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from boresight.accepted import counted
 from boresight.features.sky_images.frame_facts import SkyImage, open_sky_images
 from boresight.features.sky_images.identify_images import (
-    EPOCH_ERROR_YEARS,
     check_field,
     read_camera,
     read_sky_image,
     sky_index,
+    with_unknown_time,
 )
 from boresight.features.sky_images.image_time import NOWHERE, Whereabouts
 from boresight.geometry.star_camera import StarCamera
@@ -106,8 +106,7 @@ def calibrate_from_images(
         if isinstance(first, NotIdentified):
             return [*unused, f"no image was identified: {first.reason}"], False
         camera = first
-    unsure = replace(settings, epoch_error_years=settings.epoch_error_years or EPOCH_ERROR_YEARS)
-    result = calibrate_camera(frames, camera, index, unsure, drift=request.drift)
+    result = calibrate_camera(frames, camera, index, with_unknown_time(settings), drift=request.drift)
     if isinstance(result, NotIdentified):
         return [*unused, f"not calibrated: {result.reason}"], False
     result = replace(result, frames_refused=(*unread, *result.frames_refused))

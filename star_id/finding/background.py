@@ -144,7 +144,7 @@ def estimate_backgrounds(images: Sequence[NDArray[Any]]) -> list[Background]:
     """Backgrounds of raw images (H, W) of one size, all on one grid."""
     side = float(np.clip(min(images[0].shape) / 7.0, 48.0, 512.0))
     coarse = [_by_blocks(image, side) for image in images]
-    between = [_noise_between_neighbours(image) for image in images]
+    between = [min(map(_noise_between_neighbours, (image, image.T))) for image in images]
     if all(
         np.sort(sky.noise_dn, axis=None)[int(0.75 * sky.noise_dn.size)] < NOISIER * noise
         for sky, noise in zip(coarse, between)

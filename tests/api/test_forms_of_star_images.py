@@ -1,11 +1,13 @@
 """Forms of a star image, what is said of what is not among its stars, and its coordinates on the sky."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 import rasterio
 from astropy.coordinates import SkyCoord
+from astropy.io import fits
 from astropy.wcs import WCS
 from scipy.spatial.transform import Rotation
 
@@ -45,6 +47,21 @@ def test_every_type_of_an_image_gives_the_same_stars(pixels: np.ndarray, kind: t
     assert np.array_equal(found.saturated, known.saturated)
 
 
+@pytest.mark.parametrize("kind", [np.int16, np.uint16, np.int32, np.int64])
+def test_integers_of_a_file_are_counts_whatever_type_holds_them(
+    pixels: np.ndarray, kind: type, tmp_path: Path
+) -> None:
+    known, image = bs.find_stars(pixels), pixels.astype(kind)
+    np.save(tmp_path / "sky.npy", image)
+    fits.PrimaryHDU(image).writeto(tmp_path / "sky.fits")
+    assert known.saturated.any()
+    for given in (image, tmp_path / "sky.npy", tmp_path / "sky.fits"):
+        found = bs.find_stars(given)
+        assert found.pixels is not None and found.pixels.dtype == np.uint8
+        for name in ("xy_px", "cov_px", "flux_dn", "saturated"):
+            assert np.array_equal(getattr(found, name), getattr(known, name)), name
+
+
 def test_a_floating_image_without_saturation_says_so(pixels: np.ndarray) -> None:
     stars = bs.find_stars(pixels.astype(float))
     assert not stars.saturated.any()
@@ -58,6 +75,9 @@ def test_masked_pixels_and_misshapen_detections_are_counted(pixels: np.ndarray) 
     stars = bs.find_stars(image)
     assert stars.masked == 200
     assert "200 masked pixels" in repr(stars)
+    for colours in (np.stack([image] * 3, axis=2), np.stack([image] * 3), image[None]):
+        for given in (colours, np.ma.masked_invalid(colours)):
+            assert bs.find_stars(given).masked == 200
     known = bs.find_stars(pixels)
     assert f"{len(known.misshapen_px)} misshapen detections" in repr(known)
     two = np.array([437.0, 362.0])  # bright stars side by side, which no single PSF explains

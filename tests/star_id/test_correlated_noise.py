@@ -50,12 +50,14 @@ def test_jpeg_makes_no_stars_and_errors_are_as_stated(quality):
     assert 0.5 < chi2.mean() < 1.4  # 240 coordinates: 0.09; in six such frames 0.63 to 1.23
 
 
-def test_rounding_of_blocks_with_stars_is_by_the_step_of_the_files_own_table():
+@pytest.mark.parametrize("cropped_px", [(0, 0), (3, 5), (7, 1)])
+def test_rounding_of_blocks_with_stars_is_by_the_step_of_the_files_own_table(cropped_px):
     image, _ = frame(np.random.default_rng(4))
     file = io.BytesIO()
     Image.fromarray(image).save(file, "JPEG", quality=40)
     step = Image.open(file).quantization[0][0]  # of the mean of a block, times 8
-    found = list_stars(np.array(Image.open(file)), StarSettings()).background.rounding_dn
+    rows, columns = cropped_px
+    found = list_stars(np.array(Image.open(file))[rows:, columns:], StarSettings()).background.rounding_dn
     # means of blocks of whole counts: to 0.04 DN of 2.5
     assert found == pytest.approx(step / np.sqrt(12.0), rel=0.02)
     assert list_stars(image, StarSettings()).background.rounding_dn == 0.0

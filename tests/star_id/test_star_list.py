@@ -331,3 +331,13 @@ def test_windows_of_a_slanting_sky_hold_nothing() -> None:
     # DN: the sky changes by 8 DN over a window; the level at its middle is interpolated, to some tenths
     np.testing.assert_allclose(found.data - found.data[:, [40]], 0.0, atol=0.01)
     np.testing.assert_allclose(found.data[:, 40], 0.0, atol=0.5)
+
+
+def test_a_sky_is_as_noisy_with_rows_and_columns_exchanged():
+    """Columns with offsets of their own, which were made even, and noise of few levels along them."""
+    rng = np.random.default_rng(5)
+    image = rng.normal(size=(600, 800)).round() + 0.15 * np.arange(800) + rng.uniform(size=800)
+    here, there = (estimate_background(one.astype(np.float32)) for one in (image, image.T))
+    assert here.noise_dn.shape == there.noise_dn.shape[::-1]
+    # the same pixels in another order: rounding, and where a block of one more row begins
+    assert np.median(there.noise_dn) == pytest.approx(np.median(here.noise_dn), rel=0.01)

@@ -93,7 +93,8 @@ def _decoded(image: ImageFile) -> NDArray[Any]:
 def grey_image(planes: NDArray[Any], file: str) -> NDArray[Any]:
     """One plane (H, W) of an image of one (H, W), or of one, three or four planes (K, H, W) or (H, W, K).
 
-    `RawDataError`, which names `file`, for other shapes and types, and where no pixel is a number.
+    Integers are counts, whatever type holds them: of 8 or 16 bits where these do. `RawDataError`, which names
+    `file`, for other shapes and types, and where no pixel is a number.
     """
     if planes.ndim == 3 and planes.shape[0] not in (1, 3, 4):
         planes = np.moveaxis(planes, 2, 0)
@@ -104,8 +105,10 @@ def grey_image(planes: NDArray[Any], file: str) -> NDArray[Any]:
     check_star_pixels(file, planes.shape[-1], planes.shape[-2])
     if planes.ndim == 3 and planes.shape[0] == 1:
         planes = planes[0]
-    if planes.ndim == 2 and planes.dtype in (np.uint8, np.uint16):
-        return planes
+    if planes.dtype.kind in "ui" and planes.min(initial=0) >= 0 and (most := planes.max(initial=0)) < 2**16:
+        planes = planes.astype(np.uint8 if most < 2**8 else np.uint16, copy=False)
+        if planes.ndim == 2:
+            return planes
     with np.errstate(over="ignore"):  # what becomes infinite is no number
         values: NDArray[Any] = planes.astype(np.float64 if planes.dtype == np.float64 else np.float32)
     grey = values if values.ndim == 2 else np.tensordot(_GREY, values[:3], axes=1)

@@ -27,6 +27,7 @@ from command_line import invoked as run
 from frames import SMALL_CAMERA as CAMERA
 from frames import Sensor, as_seen, directions_of, render, star_frame
 
+import boresight as bs
 from boresight.features.sky_images import centroid_report, field_plan, star_camera_report
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
@@ -78,6 +79,14 @@ def test_identify_prints_one_json_object_a_line(folder):
     assert 0.4 * usual < first["pointing_sigma_arcsec"] < 1.2 * usual
     assert 0.0 < first["fov_x_sigma_deg"] < 1e-3 * first["fov_x_deg"]
     assert not second["identified"] and "not identified" in second["reason"]
+    found = bs.identify(folder / "sky0.png", fov_deg=18.6)  # to the last digit, errors too
+    assert (first["ra_deg"], first["dec_deg"], first["roll_deg"]) == (
+        found.ra_deg,
+        found.dec_deg,
+        found.roll_deg,
+    )
+    assert (first["pointing_sigma_arcsec"], first["roll_sigma_arcsec"]) == found.sigma_arcsec
+    assert first["fov_x_sigma_deg"] == np.degrees(found.field.fov_x_sigma_rad)
 
 
 def test_identify_draws_and_writes_world_coordinates(folder, tmp_path, monkeypatch):
@@ -247,6 +256,8 @@ def test_a_camera_is_calibrated_and_then_known(folder, tmp_path):
     assert_map_is_drawn(figures[0].axes[0], content["residual_map"])
     scale = content["values"][0] / 5e-6 / (CAMERA.focal_m / CAMERA.pixel_m)  # the pixel pitch is not known
     assert scale == pytest.approx(1.0, abs=4.0 * np.sqrt(content["covariance"][0][0]) / content["values"][0])
+    found = bs.calibrate_star_camera(images, fov_deg=19.0)
+    np.testing.assert_array_equal(found.fit.covariance, content["covariance"])
     again = run("identify", "--json", "--camera", out, images[0])
     assert json.loads(again.stdout.splitlines()[0])["identified"]
 

@@ -220,8 +220,9 @@ def _by_pillow(content: bytes) -> np.ndarray | None:
                     image = image.convert("RGB")
                 if image.format == "TIFF" and (262 not in image.tag_v2 or image.tag_v2.get(274, 1) != 1):
                     return None  # Pillow then reverses grey values or rotates: raw images are read as stored
-                if image.format == "FITS":  # Pillow turns it upside down, without BZERO, of a cube one plane
-                    plain = image.mode == "L" and b"NAXIS3" not in content
+                if image.format == "FITS":  # Pillow turns it upside down, without BZERO, of a cube one plane,
+                    others = (b"NAXIS3", b"ZIMAGE")  # and of packed tiles their table
+                    plain = image.mode == "L" and not any(key in content for key in others)
                     return np.flipud(np.asarray(image)).astype(float) if plain else None
                 values = np.asarray(image)
     except Exception:  # Pillow raises many kinds
