@@ -88,9 +88,11 @@ _FIRST, *_LATER = _PASSES = (
 )
 _Attempt = tuple[bool, tuple[tuple[tuple[int, int, int], ...], ...], Projection]
 # Attempts at an image, until one succeeds: (whether as a mirror image, passes, projection). Of an unknown
-# camera the first pass of both, then the others.
-_ATTEMPTS: tuple[_Attempt, ...] = tuple(
-    (mirrored, passes, "tangent") for passes in ((_FIRST,), tuple(_LATER)) for mirrored in (False, True)
+# camera the first pass, the first pass mirrored, then the others.
+_ATTEMPTS: tuple[_Attempt, ...] = (
+    (False, (_FIRST,), "tangent"),
+    (True, (_FIRST,), "tangent"),
+    (False, tuple(_LATER), "tangent"),
 )
 # The same of a camera that is known.
 _ATTEMPTS_OF_CAMERA: tuple[_Attempt, ...] = ((False, _PASSES, "tangent"), (True, _PASSES, "tangent"))

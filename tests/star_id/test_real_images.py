@@ -14,7 +14,7 @@ from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.starlight import GroundSite
-from boresight.star_id.field import FieldSolution, _likeliest_first, solve_field, solve_list, solve_stars
+from boresight.star_id.field import FieldSolution, _likeliest_first, solve_field, solve_stars
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.observer import Observer
 from boresight.star_id.settings import StarSettings
@@ -57,17 +57,6 @@ def test_a_frame_with_stars_is_identified(row, wide, solution):
         # weighed, as far apart as the error stated allows: 0.037 deg where air leaves residuals of 1.5 px
         assert middle_weighed < max(0.01, 3.0 * np.degrees(found.roll_sigma_rad))
     # Else that solver, which fits no distortion, found another lens, and a roll with it: see the next test.
-
-
-@of_level("verified")
-def test_a_frame_is_identified_mirrored_too(row, wide, solution):
-    found = solution(row)
-    size = (found.camera.width_px, found.camera.height_px)
-    other = solve_list(found.stars.mirrored(size[0]), size, wide, StarSettings())
-    assert isinstance(other, FieldSolution) and other.mirrored and not found.mirrored
-    # all is stated for the columns in their order, so that it is the same to the rounding of places
-    assert np.array_equal(other.hip, found.hip)
-    assert (other.R_si * found.R_si.inv()).magnitude() < 1e-3 * found.pointing_sigma_rad
 
 
 def test_a_frame_of_few_stars_looks_where_the_lens_of_another_frame_has_them(wide, solution):
