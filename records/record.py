@@ -277,8 +277,9 @@ def check_numbers(record: Any, *, any_value: tuple[str, ...] = (), zero: tuple[s
     Fields of `zero` may also be 0, those of `any_value` any number, infinite and NaN too; one declared as
     `... | None` may be None. Probabilities, shares and modulations are at most 1; pairs are finite.
     """
-    for name, (kind, is_pair, may_be_none, part) in _numbers_of(type(record)).items():
-        value, said = cast(Any, getattr(record, name)), f"{type(record).__name__}.{name}"
+    cls: Any = type(record)
+    for name, (kind, is_pair, may_be_none, part) in _numbers_of(cls).items():
+        value, said = cast(Any, getattr(record, name)), f"{cls.__name__}.{name}"
         if value is None and may_be_none:
             continue
         if is_pair:
