@@ -212,7 +212,7 @@ def shifted_chips(dump: Dump, entries: Sequence[Entry]) -> Iterator[Finding]:
     apart_m = float(np.nanmedian(np.hypot(*(off_m - middle_m).T)))
     slip, n = Counter(outside.values()).most_common(1)[0]
     where = "lie outside their chips"
-    if slip and "digit" not in slip and 2 * n > len(outside):  # nobody mistypes the same digit of most
+    if slip and "digit" not in slip and 2 * n > len(outside):  # the same digit of most is no slip
         where = f"would lie in their chips with {slip}"
     elif apart_m < ALIKE * float(np.hypot(*middle_m)):
         where = f"lie {compass(*middle_m.tolist())} of the middle of their chips"

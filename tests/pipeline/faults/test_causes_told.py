@@ -313,8 +313,8 @@ REVERSED = r"^order of an image, strip s01: {} 12 of 12 targets are found, as st
     [
         ("ground", partial(painted, "*", np.fliplr), REVERSED.format("with the order of columns reversed")),
         ("ground", partial(painted, "*", np.flipud), REVERSED.format("with the order of rows reversed")),
-        ("ground", partial(painted, "*", partial(np.rot90, k=2)), REVERSED.format("turned by 180°")),
-        ("ground", stars_turned, "^axes of the star images.* turned by 180° 3 of 3 strips see their"),
+        ("ground", partial(painted, "*", partial(np.rot90, k=2)), REVERSED.format("rotated by 180°")),
+        ("ground", stars_turned, "^axes of the star images.* rotated by 180° 3 of 3 strips see their"),
         ("ground", geocentric, "36 of 36 targets: they lie 2.* m south of the middle of their chips"),
         ("points", thinned, r"with run\.exposure_margin_s = \d+ those around it would"),
         ("points", number(REMOTE, "x_offset_mm", lambda v: 0.0),
