@@ -227,7 +227,14 @@ HALF_TURN = Rotation.from_rotvec([0.0, 0.0, np.pi])
 SENSE = "sense of the attitudes' rotation", "with the quaternions conjugated"
 ORDER = "order of the quaternions' components", "with the scalar first", "{0.source.file}", "qx, qy, qz, qw"
 OF_HEADS: tuple[tuple[str, str, str, str, Callable[[Turn, Head], Head], Turn], ...] = (
-    ("axes of the star images", "rotated by 180°", "exposures.csv", "file", _mounted, lambda R: R * HALF_TURN),
+    (
+        "axes of the star images",
+        "rotated by 180°",
+        "exposures.csv",
+        "file",
+        _mounted,
+        lambda R: R * HALF_TURN,
+    ),
     ("sense of the installation matrix", "inverted,", *MOUNTING, Rotation.inv),
     ("order of the quaternion's components", "with the scalar first", *MOUNTING, _scalar_first),
     (*SENSE, "dump.toml", "star_cameras.rotation", _turned, Rotation.inv),
