@@ -93,7 +93,8 @@ class GridPlace:
         to_map = Transformer.from_crs(CRS.from_epsg(4326), CRS.from_user_input(self.crs), always_xy=True)
         a, b, c, d, e, f = self.transform
         inverse = np.linalg.inv(np.array([[a, b], [d, e]]))
-        xy = (np.column_stack(to_map.transform(lon, lat)) - [c, f]) @ inverse.T
+        with np.errstate(invalid="ignore"):  # infinite where the map does not reach
+            xy = (np.column_stack(to_map.transform(lon, lat)) - [c, f]) @ inverse.T
         return np.asarray(((xy >= 0.0) & (xy <= self.shape[::-1])).all(axis=1))[:-1]
 
     @property
