@@ -67,8 +67,6 @@ _TRIED = 3
 _MANY_BAD = 1e-3
 # Cells along each side of the image over which the stars that are kept are spread.
 _CELLS = 8
-# Part of an image's side that a star's image may reach from its middle (set by hand).
-_MOST_REACH = 0.25
 # Fields of `StarList` that have a row a star, and those that detection gives.
 _COLUMNS = ("xy_px", "cov_px", "flux_dn", "snr", "saturated", "blended")
 _GRIDS = ("level_dn", "noise_dn", "above_cut", "unusable")  # of `Background`
@@ -195,14 +193,14 @@ def list_stars(
     Raises
     ------
     ValueError
-        If the image is not two-dimensional or smaller than 32 pixels, the dark frame has another size, or the
-        stated PSF reaches over more of the image than `_MOST_REACH`.
+        If the image is not two-dimensional or smaller than 32 pixels, the dark frame has another size, or a
+        star by the stated PSF is wider than half of the image.
     """
     if image.ndim != 2 or min(image.shape) < 32:
         raise ValueError(f"image must be (H, W), both at least 32, got {image.shape}")
     sigma, smear = settings.psf_sigma_px or 0.0, np.hypot(*(settings.smear_px or (0.0, 0.0)))
-    if CLIP_SIGMA * sigma + 0.5 * smear > (most := _MOST_REACH * min(image.shape)):
-        limit = f"psf_sigma_px times {CLIP_SIGMA:g} and half of smear_px at most {most:g} px"
+    if 2.0 * CLIP_SIGMA * sigma + smear > (most := 0.5 * min(image.shape)):
+        limit = f"psf_sigma_px times {2.0 * CLIP_SIGMA:g} and smear_px together at most {most:g} px"
         raise ValueError(f"settings: found {sigma:g} px and {smear:g} px, expected {limit} in this image")
     saturation = settings.saturation_dn or _saturation_level(image)
     if dark is not None:

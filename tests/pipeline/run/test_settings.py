@@ -90,7 +90,7 @@ def test_a_stated_psf_lists_stars_or_is_refused_by_name(shape: tuple[int, int]) 
         (1.0, (1e9, 0)),
     ):
         with pytest.raises(
-            ValueError, match=r"^settings: found .*, expected psf_sigma_px times 3 and half of"
+            ValueError, match=r"^settings: found .*, expected psf_sigma_px times 6 and smear_px"
         ):
             list_stars(image, StarSettings(psf_sigma_px=sigma, smear_px=smear))
 
