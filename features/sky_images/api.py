@@ -725,7 +725,8 @@ def _pixels(image: object, name: str) -> _Pixels:
         raise wrong(name, "an array of which all is masked", "pixels that are not masked")
     if planes.ndim not in (2, 3) or planes.dtype.kind not in "uif" or not planes.size:
         raise wrong(name, planes, "numbers of shape (H, W) or (H, W, 3), or a path")
-    if planes.dtype.kind in "ui" and not 0 <= planes.min() <= planes.max() <= MOST_COUNTS:
+    whole = planes.dtype.kind in "ui" and planes.dtype not in (np.uint8, np.uint16)
+    if whole and not 0 <= planes.min() <= planes.max() <= MOST_COUNTS:
         found = f"integers from {planes.min()} to {planes.max()}"
         raise wrong(name, found, f"counts from 0 to {MOST_COUNTS}, or floating point")
     floating = planes.dtype.kind == "f"

@@ -105,10 +105,11 @@ def grey_image(planes: NDArray[Any], file: str) -> NDArray[Any]:
     check_star_pixels(file, planes.shape[-1], planes.shape[-2])
     if planes.ndim == 3 and planes.shape[0] == 1:
         planes = planes[0]
-    if planes.dtype.kind in "ui" and planes.min(initial=0) >= 0 and (most := planes.max(initial=0)) < 2**16:
+    whole = planes.dtype.kind in "ui" and planes.dtype != np.uint8
+    if whole and planes.min(initial=0) >= 0 and (most := planes.max(initial=0)) < 2**16:
         planes = planes.astype(np.uint8 if most < 2**8 else np.uint16, copy=False)
-        if planes.ndim == 2:
-            return planes
+    if planes.ndim == 2 and planes.dtype in (np.uint8, np.uint16):
+        return planes
     with np.errstate(over="ignore"):  # what becomes infinite is no number
         values: NDArray[Any] = planes.astype(np.float64 if planes.dtype == np.float64 else np.float32)
     grey = values if values.ndim == 2 else np.tensordot(_GREY, values[:3], axes=1)
