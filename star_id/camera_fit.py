@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.star_camera import StarCamera, legendre_terms
 from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import MEDIAN_CHI2, SELDOM_SIGMA
+from boresight.star_id.common_variance import SMALL_CHANGE, common_variance
 
 __all__ = [
     "DRIFT",
@@ -30,7 +31,6 @@ __all__ = [
     "detector_grid",
     "fit_camera",
     "pixel_derivatives",
-    "rotation_derivatives",
     "smooth_derivatives",
     "visible_derivatives",
 ]
@@ -73,6 +73,7 @@ class CameraFit:
     rotations: Rotation = array("K", "R_si of the images")
     covariance: Floats = array("F, F", "of the free parameters, own units, scaled by variance_factor")
     variance_factor: float = scalar("reduced chi2, at least 1")
+    common_px2: float = scalar("variance of an error of each star's own, along one axis, px^2")
     residual_px: Floats = array("N, 2", "measured minus predicted, all stars")
     keep: Bools = array("N", "whether the star is no outlier")
     chi2: float = scalar("of the kept stars")
@@ -86,23 +87,25 @@ def fit_camera(
     free: tuple[str, ...] = PARAMETERS,
     prior: Mapping[str, float] = _NOTHING,
     expected: StarCamera | None = None,
+    common_px2: float | None = None,
 ) -> CameraFit:
     """Camera with the parameters `free` (of PARAMETERS, DRIFT and Q3) fitted by Gauss-Newton steps.
 
     `camera` and `rotations` (K,) are the start. `prior` holds 1-sigma deviations from the parameters of
-    `expected`, or of `camera`, in their own units. The covariance is scaled by the reduced chi2 if that
-    exceeds 1.
+    `expected`, or of `camera`, in their own units. With `common_px2`, px^2 along one axis, stars have an
+    error of their own of a variance that all share (`common_variance`), and that is where its search begins.
+    The covariance is scaled by the reduced chi2 if that exceeds 1.
 
     `numpy.linalg.LinAlgError` where the steps lead to a camera that cannot image all of the stars.
     """
     columns = [_ALL.index(name) for name in free]
     units = _units(camera)[columns]
     prior_weight = np.array([unit / prior.get(name, np.inf) for name, unit in zip(free, units)]) ** 2
-    first = _vector(expected or camera)[columns]
+    first = _vector(expected or camera, camera)[columns]
     stars = replace(stars, t_s=stars.t_s - stars.t_s.mean())
-    theta, R = _vector(camera), rotations
-    keep = np.ones(len(stars.xy_px), dtype=bool)
-    variance, weight = 0.5 * np.trace(stars.cov_px, axis1=1, axis2=2), np.linalg.inv(stars.cov_px)
+    theta, R, keep = _vector(camera), rotations, np.ones(len(stars.xy_px), dtype=bool)
+    own, common, settled = 0.5 * np.trace(stars.cov_px, axis1=1, axis2=2), common_px2 or 0.0, True
+    variance, weight = own + common, _weights(stars.cov_px, common)
     for k in range(12):
         pull = prior_weight * (first - theta[columns])
         with np.errstate(over="ignore", invalid="ignore"):  # of a fit that diverges
@@ -112,13 +115,18 @@ def fit_camera(
         if not np.isfinite(theta).all() or abs(theta[0]) > _LARGEST_LOG_SCALE:
             raise np.linalg.LinAlgError("the fitted camera cannot image all of the stars")
         R = Rotation.from_rotvec(step.d_rotation) * R
+        if k and common_px2 is not None:
+            leverage = step.leverage(weight, stars.frame)
+            before, common = common, common_variance(step.residual[keep], leverage[keep], own[keep], common)
+            settled = abs(common - before) <= SMALL_CHANGE * before
+            variance, weight = own + common, _weights(stars.cov_px, common)
         chi2 = 0.5 * (step.residual**2).sum(axis=1) / variance  # a degree of freedom
         if k < 2:  # from a nominal camera all stars look like outliers
             continue
         inlier = chi2 < SELDOM_SIGMA**2 * max(1.0, 2.0 * float(np.median(chi2[keep])) / MEDIAN_CHI2)
         if 2 * inlier.sum() <= len(free) + 3 * len(stars.t_s):  # too few would be left
             inlier = keep
-        if np.array_equal(inlier, keep) and step.in_sigmas < SMALL_STEP:
+        if np.array_equal(inlier, keep) and settled and step.in_sigmas < SMALL_STEP:
             break
         keep = inlier
     residual = step.residual[keep]
@@ -131,6 +139,7 @@ def fit_camera(
         rotations=R,
         covariance=np.asarray(variance_factor * step.cov_camera * units[:, None] * units),
         variance_factor=variance_factor,
+        common_px2=common,
         residual_px=step.residual,
         keep=keep,
         chi2=total,
@@ -138,18 +147,16 @@ def fit_camera(
     )
 
 
-def pixel_derivatives(camera: StarCamera, u_s: Floats, free: tuple[str, ...] = PARAMETERS) -> Floats:
+def pixel_derivatives(
+    camera: StarCamera, u_s: Floats, free: tuple[str, ...] = PARAMETERS
+) -> tuple[Floats, Floats]:
     """Derivatives (N, 2, F) of the pixels of directions (N, 3), frame s, by the parameters `free`, px per
-    their own units. (Those of a smooth distortion's own slope, a thousandth, are left out.)"""
+    their own units, and (N, 2, 3), px/rad, by a right-handed rotation about axes s. (Those of a smooth
+    distortion's own slope, a thousandth, are left out.)"""
     columns = [_ALL.index(name) for name in free]
     projected = _project(_vector(camera), camera, u_s, 0.0)
-    return _camera_columns(projected, camera, 0.0, columns) / _units(camera)[columns]
-
-
-def rotation_derivatives(camera: StarCamera, u_s: Floats) -> Floats:
-    """Derivatives (N, 2, 3), px/rad, of the pixels of directions (N, 3) by a right-handed rotation about axes
-    s."""
-    return _rotation_columns(_project(_vector(camera), camera, u_s, 0.0))
+    by_camera = _camera_columns(projected, camera, 0.0, columns) / _units(camera)[columns]
+    return by_camera, _rotation_columns(projected)
 
 
 def visible_derivatives(
@@ -160,7 +167,7 @@ def visible_derivatives(
     the whole detector: each image's attitude is fitted, so that part of a parameter's error has no effect."""
     both = np.vstack([xy_px, detector_grid(camera)])
     u_s = camera.directions_from_pixels(both)
-    J, A = pixel_derivatives(camera, u_s, free), rotation_derivatives(camera, u_s)
+    J, A = pixel_derivatives(camera, u_s, free)
     if degree:
         J = np.concatenate([J, smooth_derivatives(camera, both, degree)], axis=2)
     grid = slice(len(xy_px), None)
@@ -185,6 +192,11 @@ def detector_grid(camera: StarCamera) -> Floats:
     return xy[np.isfinite(camera.directions_from_pixels(xy)[:, 2])]
 
 
+def _weights(cov_px: Floats, common_px2: float) -> Floats:
+    """(N, 2, 2) inverse covariances, a variance common to all stars included."""
+    return np.asarray(np.linalg.inv(cov_px + common_px2 * np.eye(2)))
+
+
 @record
 class _Step:
     """One Gauss-Newton step with the rotations eliminated, and the residuals before it."""
@@ -194,12 +206,23 @@ class _Step:
     cov_camera: Floats  # (F, F)
     cov_rotation: Floats  # (K, 3, 3)
     residual: Floats  # (N, 2)
+    J: Floats  # (N, 2, F) derivatives of the pixels by the camera
+    A: Floats  # (N, 2, 3) and by the rotation of the image
+    gain: Floats  # (K, 3, F) rotations that explain a part of J
+    cov_held: Floats  # (K, 3, 3) of rotations, by a camera without error
 
     @property
     def in_sigmas(self) -> float:
         """The largest component of the step, in units of its standard error."""
         sigma = np.sqrt(np.append(np.diag(self.cov_camera), np.einsum("kii->ki", self.cov_rotation)))
         return float(np.abs(np.append(self.d_camera, self.d_rotation) / sigma).max())
+
+    def leverage(self, W: Floats, frame: Ints) -> Floats:
+        """(N,) trace of each star's part in the fit, by the weights (N, 2, 2) and images (N,)."""
+        J = self.J - self.A @ self.gain[frame]
+        fitted = J @ self.cov_camera @ J.transpose(0, 2, 1)
+        fitted += self.A @ self.cov_held[frame] @ self.A.transpose(0, 2, 1)
+        return np.einsum("nij,nji->n", fitted, W)
 
 
 def _step(
@@ -229,8 +252,9 @@ def _step(
     d_rotation = np.linalg.solve(Naa, (ga - np.einsum("kpa,p->ka", Nca, d_camera))[:, :, None])[:, :, 0]
     cov_camera = np.linalg.inv(normal)
     cov_camera = 0.5 * (cov_camera + cov_camera.T)  # one image hardly separates x0 and p1: rounding matters
-    cov_rotation = np.asarray(np.linalg.inv(Naa) + gain @ cov_camera @ gain.transpose(0, 2, 1))
-    return _Step(d_camera, d_rotation, cov_camera, cov_rotation, residual)
+    cov_held = np.asarray(np.linalg.inv(Naa))
+    cov_rotation = np.asarray(cov_held + gain @ cov_camera @ gain.transpose(0, 2, 1))
+    return _Step(d_camera, d_rotation, cov_camera, cov_rotation, residual, J, A, np.asarray(gain), cov_held)
 
 
 def _products_by_image(X: Floats, W: Floats, stars: IdentifiedStars) -> Floats:
@@ -325,11 +349,12 @@ def _rotation_columns(projected: _Projected) -> Floats:
     return np.einsum("ijn,kjn->nik", by_tangent, by_rotation)
 
 
-def _vector(camera: StarCamera) -> Floats:
-    """(9,) theta of the camera itself."""
-    c = camera
-    numbers = np.array([0.0, *c.principal_px, c.p1, c.p2, c.q1, c.q2, 0.0, c.q3])
-    return np.asarray(numbers / np.append(1.0, _units(camera)[1:]))
+def _vector(camera: StarCamera, nominal: StarCamera | None = None) -> Floats:
+    """(9,) theta of the camera by the focal length of another, or of itself, without a drift."""
+    c, nominal = camera, nominal or camera
+    scale = np.log(c.focal_m / nominal.focal_m)
+    numbers = np.array([0.0, *c.principal_px, c.p1, c.p2, c.q1, c.q2, 0.0, c.q3]) / _units(nominal)
+    return np.append(scale, numbers[1:])
 
 
 def _camera(theta: Floats, nominal: StarCamera) -> StarCamera:

@@ -24,6 +24,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.star_camera import Projection, StarCamera
 from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import LEAST_STARS, LOST_BY_CHANCE
+from boresight.star_id.common_variance import PER_PARAMETER
 from boresight.star_id.field_fit import fit_attitude_and_lens
 from boresight.star_id.field_match import match_field
 from boresight.star_id.finding.star_list import StarList, list_stars
@@ -51,7 +52,6 @@ from boresight.star_id.identification.identify import (
 )
 from boresight.star_id.identification.tangent_plane import FieldOfView
 from boresight.star_id.identification.triangle_index import StarIndex
-from boresight.star_id.lens_misfit import PER_PARAMETER
 from boresight.star_id.lens_model import CLEARLY_MORE, WIDE_RAD
 from boresight.star_id.observer import ABERRATION_SCALE, Observer, proper_motion_covariance, star_directions
 from boresight.star_id.settings import StarSettings
@@ -421,7 +421,7 @@ def _fitted(
             )
         except np.linalg.LinAlgError:  # a lens of another projection
             return None
-        camera, R_si = fit.field.camera, fit.field.R_si
+        camera, R_si = fit.errors.camera, fit.R_si
         predicted, cov = fit.predict(u_i)
         seen = np.flatnonzero(camera.contains(predicted))
         area_px = camera.width_px * camera.height_px
@@ -433,14 +433,15 @@ def _fitted(
             break
     timeless = known.settings.epoch_error_years > 0.0 and observer is None
     unknown_scale = np.hypot(ABERRATION_SCALE if timeless else 0.0, stars.psf.scale_sigma)
+    field = fit.field
     return _solution(
         replace(found, detections=detections, stars=rows, R_si=R_si),
         stars.xy_px,
         camera,
         index,
-        cov_s=fit.field.cov_s,
-        fov_x_sigma_rad=float(np.hypot(fit.field.fov_x_sigma_rad, unknown_scale * camera.fov_x_rad)),
-        misfit_px=fit.field.misfit_px,
+        cov_s=field.cov_s,
+        fov_x_sigma_rad=float(np.hypot(field.fov_x_sigma_rad, unknown_scale * camera.fov_x_rad)),
+        misfit_px=field.misfit_px,
         u_i=star_directions(index, rows, observer),
         stars=stars,
     )

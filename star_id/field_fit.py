@@ -15,15 +15,7 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.records.record import Floats, array, record, scalar
 from boresight.star_id.beyond_chance import MEDIAN_CHI2
 from boresight.star_id.camera_fit import CameraFit, IdentifiedStars, fit_camera
-from boresight.star_id.lens_misfit import (
-    ROUNDS,
-    SMALL_CHANGE,
-    LensEquations,
-    LensErrors,
-    lens_errors,
-    stretch_size,
-    with_common_variance,
-)
+from boresight.star_id.lens_misfit import LensEquations, LensErrors, lens_errors, stretch_size
 
 __all__ = ["FieldFit", "LensFit", "fit_attitude_and_lens"]
 
@@ -43,14 +35,19 @@ class FieldFit:
 class LensFit:
     """Attitude and fitted camera of one image, and the places of stars that they predict."""
 
-    field: FieldFit = scalar("attitude and camera")
+    R_si: Rotation = scalar("rotation GCRS to star-camera frame s")
     errors: LensErrors = scalar("of attitude, camera and unmodelled distortion")
+
+    @property
+    def field(self) -> FieldFit:
+        """Attitude and camera, with the errors of the image's centre."""
+        cov_s, fov_x_sigma = self.errors.of_centre()
+        return FieldFit(self.R_si, cov_s, self.errors.camera, fov_x_sigma, self.errors.displaced_px())
 
     def predict(self, u_i: Floats) -> tuple[Floats, Floats]:
         """Pixels (N, 2) of directions (N, 3), GCRS, and their covariances (N, 2, 2), px^2."""
-        u_s = self.field.R_si.apply(u_i)
-        xy = self.field.camera.pixels_from_directions(u_s)
-        return self.errors.predict(u_s, xy)
+        u_s = self.R_si.apply(u_i)
+        return self.errors.predict(u_s, self.errors.camera.pixels_from_directions(u_s))
 
 
 def fit_attitude_and_lens(
@@ -77,9 +74,7 @@ def fit_attitude_and_lens(
     for _ in range(2 if stretch_px else 0):  # each to places without the stretch seen before
         moved_px = equations.stretched(stretch_px).displaced_px(xy_px, common)
         fit, equations, common = _fit(camera, R_si, xy_px, cov_px, u_i, expected, moved_px)
-    errors = lens_errors(equations, common, stretch_px)
-    cov_s, fov_x_sigma = errors.of_centre()
-    return LensFit(FieldFit(fit.rotations[0], cov_s, fit.camera, fov_x_sigma, errors.displaced_px()), errors)
+    return LensFit(fit.rotations[0], lens_errors(equations, common, stretch_px))
 
 
 def _fit(
@@ -99,16 +94,12 @@ def _fit(
     middle = (0.5 * (camera.width_px - 1), 0.5 * (camera.height_px - 1))
     ideal = expected or replace(camera, principal_px=middle, p1=0.0, p2=0.0, q1=0.0, q2=0.0)
     prior = _prior_sigmas(camera, 0.0 if expected else 1.0)
-    residual = xy_px - moved_px - camera.pixels_from_directions(R_si.apply(u_i))
-    common = float(np.median((residual**2).sum(axis=1))) / MEDIAN_CHI2
-    for _ in range(ROUNDS):  # two are usual
-        cov = cov_px + common * np.eye(2)
-        fit = fit_camera(replace(stars, cov_px=cov), camera, R, prior=prior, expected=ideal)
-        equations = LensEquations.of(fit, fit.rotations[0].apply(u_i), cov_px, prior)
-        before, common = common, with_common_variance(equations, common)
-        if abs(common - before) <= SMALL_CHANGE * before:
-            break
-    return fit, replace(equations, residual_px=equations.residual_px + moved_px[fit.keep]), common
+    off = xy_px - moved_px - camera.pixels_from_directions(R_si.apply(u_i))
+    common = float(np.median((off**2).sum(axis=1))) / MEDIAN_CHI2
+    fit = fit_camera(stars, camera, R, prior=prior, expected=ideal, common_px2=common)
+    equations = LensEquations.of(fit, fit.rotations[0].apply(u_i), cov_px, prior)
+    residual_px = equations.residual_px + moved_px[fit.keep]
+    return fit, replace(equations, residual_px=residual_px), fit.common_px2
 
 
 def _prior_sigmas(camera: StarCamera, between: float) -> dict[str, float]:

@@ -19,6 +19,7 @@ from boresight.geometry.constants import ABERRATION
 from boresight.geometry.star_camera import StarCamera
 from boresight.records.record import Bools, Floats, array, record, scalar
 from boresight.star_id.beyond_chance import FEW_STARS, LOST_BY_CHANCE, MEDIAN_CHI2, SELDOM_SIGMA
+from boresight.star_id.common_variance import share_by_evidence
 from boresight.star_id.field_fit import FieldFit
 from boresight.star_id.image_attitude import ImageAttitude, fit_image_attitude
 from boresight.star_id.lens_misfit import (
@@ -26,7 +27,6 @@ from boresight.star_id.lens_misfit import (
     LensEquations,
     LensErrors,
     lens_errors,
-    share_by_evidence,
     stretch_size,
     with_common_variance,
 )

@@ -27,7 +27,6 @@ from functools import cache
 
 import numpy as np
 from scipy.linalg import cho_solve
-from scipy.spatial.transform import Rotation
 
 from boresight.geometry.star_camera import StarCamera, term_orders
 from boresight.records.record import Floats, array, record, scalar
@@ -36,22 +35,18 @@ from boresight.star_id.camera_fit import (
     SMALL_STEP,
     CameraFit,
     pixel_derivatives,
-    rotation_derivatives,
     smooth_derivatives,
 )
+from boresight.star_id.common_variance import (
+    PER_PARAMETER,
+    ROUNDS,
+    SMALL_CHANGE,
+    common_variance,
+    share_by_evidence,
+    zero_of_falling,
+)
 
-__all__ = [
-    "PER_PARAMETER",
-    "ROUNDS",
-    "SIZES_PX",
-    "SMALL_CHANGE",
-    "LensEquations",
-    "LensErrors",
-    "lens_errors",
-    "share_by_evidence",
-    "stretch_size",
-    "with_common_variance",
-]
+__all__ = ["SIZES_PX", "LensEquations", "LensErrors", "lens_errors", "stretch_size", "with_common_variance"]
 
 # Degree of the polynomials of a smooth distortion of one image: one image does not show finer structure.
 _DEGREE = 6
@@ -60,12 +55,6 @@ _TERMS = term_orders(_DEGREE)
 # Prior sizes, px, that are compared by evidence, in ratios of 1.6: of a stretch along one direction
 # (displacement at the ends of the longer side), and of a smooth distortion of a lens.
 SIZES_PX = np.geomspace(1e-3, 1e2, 26, dtype=np.float64)
-# Gain of log evidence by a variance common to all stars, a stretch or a smooth distortion for it to be
-# stated: one for each size that is estimated (Akaike 1974).
-PER_PARAMETER = 1.0
-# Most rounds of a search, or of a solution and its common variance in turn, and the relative change that
-# ends them (set by hand).
-ROUNDS, SMALL_CHANGE = 40, 1e-4
 # Squared error of an image's scale over the squared size of a stretch that is seen: 1 in the mean of rolling
 # shutters of any direction, which move images along one axis of the detector, and 2 of refraction, along any
 # direction. No star tells which, so that it is the geometric mean.
@@ -73,8 +62,6 @@ _SCALE_BY_STRETCH2 = np.sqrt(2.0)
 # The parameter of a given camera that is an unknown where it does not fit: a lens's focal length changes with
 # temperature, and all angles with the Earth's velocity.
 _FOCAL = ("focal_m",)
-# Displacement of pixels, px, for numerical derivatives of the rotation and field of view.
-_STEP_PX = 0.01
 # Of the search for the largest evidence, in logarithms of sizes: step of the numerical derivatives, least
 # curvature that is assumed, and longest step (set by hand).
 _DERIVATIVE_STEP, _LEAST_CURVATURE, _LONGEST_STEP = 0.1, 0.3, 0.8
@@ -182,10 +169,13 @@ class LensEquations:
         """With rotation and camera as unknowns, of a fit to stars in directions (N, 3), frame s, with
         centroid covariances (N, 2, 2), px^2.
 
-        `prior` holds the 1-sigma deviations of the camera's parameters.
+        `prior` holds the 1-sigma deviations of the camera's parameters. `numpy.linalg.LinAlgError` where a
+        star lies beyond the turning point of the fitted distortion.
         """
         u_s, slopes = u_s[fit.keep], _camera_slopes(fit.camera, PARAMETERS)
         xy = fit.camera.pixels_from_directions(u_s)
+        if not np.isfinite(xy).all():
+            raise np.linalg.LinAlgError("the fitted camera cannot image all of the stars")
         return cls(
             camera=fit.camera,
             free=PARAMETERS,
@@ -235,7 +225,7 @@ class LensEquations:
 
     def _with(self, points: Floats, moved: Floats, stretch_px: float) -> LensEquations:
         """With C more unknowns, which move the images at the slopes' `points` (4, 2) by `moved` (4, 2, C)."""
-        slopes = np.vstack([self.slopes, _slopes_of(self.camera, points, moved)])
+        slopes = np.vstack([self.slopes, _slopes_of(*self.camera.directions_and_jacobian(points), moved)])
         columns = _columns(self.camera, self.u_s, self.xy_px, slopes, self.free, stretched=stretch_px > 0.0)
         return replace(self, slopes=slopes, columns=columns, stretch_px=stretch_px)
 
@@ -258,13 +248,6 @@ class LensEquations:
         return np.linalg.solve(normal, right), np.linalg.inv(normal)
 
 
-def share_by_evidence(gained: float, limit: float) -> float:
-    """Share that a model has in a mean with a simpler one, by the log evidence that it gains: none to half
-    a unit below the limit, all from half a unit above it. What is chosen at a limit makes results jump where
-    rounding turns the choice."""
-    return min(max(gained - limit + 0.5, 0.0), 1.0)
-
-
 def with_common_variance(equations: LensEquations, start_px2: float) -> float:
     """Variance, px^2 along one axis, of an error that each star has for itself, as the residuals of the
     solution with this variance show it."""
@@ -272,50 +255,10 @@ def with_common_variance(equations: LensEquations, start_px2: float) -> float:
     for _ in range(ROUNDS):
         solution = equations.solved(common)
         residual = equations.residual_px - equations.columns @ solution.mean
-        before, common = common, _common_variance(residual, solution.leverage, own, common)
+        before, common = common, common_variance(residual, solution.leverage, own, common)
         if abs(common - before) <= SMALL_CHANGE * before:
             break
     return common
-
-
-def _common_variance(residual_px: Floats, leverage: Floats, own_px2: Floats, before: float) -> float:
-    """Variance, px^2 along one axis, of a position error common to all stars, by restricted maximum
-    likelihood, from residuals (N, 2), px, of stars with variances (N,) of their own.
-
-    At the maximum  sum (2 - h) / v = sum r^2 / v^2,  v the total variance of a star along one axis, r its
-    residual, h its `leverage` (N,), computed with the variance `before`. It is zero where the likelihood does
-    not ask for it: of stars as good as stated half show some by chance, of which errors would be overstated.
-    Near that limit it is a part of its size.
-    """
-    square = (residual_px**2).sum(axis=1)
-
-    def excess(variance: float) -> float:
-        v = own_px2 + variance
-        return float((square / v**2).sum() - ((2.0 - leverage) / v).sum())
-
-    if excess(0.0) <= 0.0:
-        return 0.0
-    if float((2.0 - leverage).sum()) < SMALL_CHANGE:  # no degree of freedom is left
-        return before
-    most = float(square.sum() + own_px2.max())
-    while excess(most) > 0.0:  # from somewhere on it falls as -dof / variance
-        most *= 2.0
-    likeliest = _zero(excess, 0.0, most)
-
-    def log_likelihood(variance: float) -> float:
-        v = own_px2 + variance
-        return -0.5 * float((square / v + (2.0 - leverage) * np.log(v)).sum())
-
-    gained = log_likelihood(likeliest) - log_likelihood(0.0)
-    return likeliest * share_by_evidence(gained, PER_PARAMETER)
-
-
-def _zero(falling: Callable[[float], float], least: float, most: float) -> float:
-    """Where a function that is positive at `least` and negative at `most` is zero, to the last digits."""
-    for _ in range(50):  # to the last digits; `scipy.optimize.brentq` takes 0.1 s to load
-        middle = 0.5 * (least + most)
-        least, most = (middle, most) if falling(middle) > 0.0 else (least, middle)
-    return 0.5 * (least + most)
 
 
 def stretch_size(equations: LensEquations, common_px2: float) -> float:
@@ -396,7 +339,7 @@ def _likely_size(mean: Floats, cov: Floats) -> float:
         return float((square / v**2 - 1.0 / v).sum())
 
     best = min(max(int(gained(SIZES_PX).argmax()), 1), len(SIZES_PX) - 2)
-    size = _zero(slope, *SIZES_PX[[best - 1, best + 1]].tolist())
+    size = zero_of_falling(slope, *SIZES_PX[[best - 1, best + 1]].tolist())
     likeliest = gained(np.array([size], dtype=np.float64))
     return size * share_by_evidence(float(likeliest[0]), PER_PARAMETER) ** 0.5
 
@@ -512,8 +455,8 @@ def _columns(
     camera: StarCamera, u_s: Floats, xy_px: Floats, slopes: Floats, free: tuple[str, ...], *, stretched: bool
 ) -> Floats:
     """(N, 2, P) derivatives of the pixels of directions (N, 3), frame s, by the unknowns."""
-    A, known = rotation_derivatives(camera, u_s), 3 + len(free)
-    parts = [A, pixel_derivatives(camera, u_s, free) + A @ slopes[3:known, :3].T]
+    (J, A), known = pixel_derivatives(camera, u_s, free), 3 + len(free)
+    parts = [A, J + A @ slopes[3:known, :3].T]
     if stretched:
         parts.append(_stretch_derivatives(camera, xy_px) + A @ slopes[known : known + 2, :3].T)
         known += 2
@@ -525,10 +468,8 @@ def _columns(
 def _camera_slopes(camera: StarCamera, free: tuple[str, ...]) -> Floats:
     """(3 + F, 4) slopes of a rotation of the centre (the centre's error itself) and of the camera's
     parameters `free`."""
-    points = _slope_points(camera)
-    moved = pixel_derivatives(camera, camera.directions_from_pixels(points), free)
-    largest = np.abs(moved).max(axis=(0, 1))
-    return np.vstack([np.zeros((3, 4)), _slopes_of(camera, points, moved / largest) * largest[:, None]])
+    u_s, J = camera.directions_and_jacobian(_slope_points(camera))
+    return np.vstack([np.zeros((3, 4)), _slopes_of(u_s, J, pixel_derivatives(camera, u_s, free)[0])])
 
 
 def _stretch_derivatives(camera: StarCamera, xy_px: Floats) -> Floats:
@@ -545,18 +486,18 @@ def _slope_points(camera: StarCamera) -> Floats:
     return np.vstack([[x, y], [x, y - 1.0], camera.row_ends_px()])
 
 
-def _slopes_of(camera: StarCamera, points: Floats, moved: Floats) -> Floats:
+def _slopes_of(u_s: Floats, J: Floats, moved: Floats) -> Floats:
     """(C, 4) rotation of the centre and change of the field of view, rad, by what moves the images at
-    `points` (4, 2) by `moved` (4, 2, C), of order one: a pixel sees what the camera's model has where it is
-    moved from."""
-    shifted = points - _STEP_PX * moved.transpose(2, 0, 1)  # (C, 4, 2)
-    seen = camera.directions_from_pixels(np.vstack([points[None], shifted]).reshape(-1, 2)).reshape(-1, 4, 3)
-    if not np.isfinite(seen).all():  # beyond a turning point there is no direction
+    `_slope_points` by `moved` (4, 2, C): a pixel, with the direction (4, 3) and its derivatives (4, 3, 2),
+    sees what the camera's model has where it is moved from."""
+    turned = -J @ moved  # (4, 3, C)
+    if not np.isfinite(turned).all():  # beyond a turning point there is no direction
         raise np.linalg.LinAlgError("the lens does not reach the edges of the image")
-    middle, above, left, right = seen.transpose(1, 0, 2)
-    up = above - middle * (above * middle).sum(axis=1)[:, None]
-    up /= np.linalg.norm(up, axis=1)[:, None]
-    axes = np.stack([np.cross(middle, up), -up, middle], axis=2)
-    rotation = Rotation.from_matrix(axes[1:] @ axes[0].T).as_rotvec()
-    field = 2.0 * np.arcsin(0.5 * np.linalg.norm(right - left, axis=1))
-    return np.column_stack([rotation, field[1:] - field[0]]) / _STEP_PX
+    (middle, above, left, right), (of_middle, of_above, of_left, of_right) = u_s, turned
+    side, chord = np.cross(middle, above), right - left
+    square, length2 = side @ side, chord @ chord
+    # the direction up is that of the pixel above, less its part along the middle
+    roll = side @ (of_above - (above @ middle) * of_middle) / square
+    rotation = np.cross(middle, of_middle, axis=0) + np.outer(middle, roll)
+    field = chord @ (of_right - of_left) / np.sqrt(length2 * (1.0 - 0.25 * length2))
+    return np.vstack([rotation, field]).T

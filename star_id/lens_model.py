@@ -38,7 +38,6 @@ from boresight.star_id.camera_fit import (
     detector_grid,
     fit_camera,
     pixel_derivatives,
-    rotation_derivatives,
     smooth_derivatives,
 )
 from boresight.star_id.lens_misfit import SIZES_PX
@@ -176,14 +175,12 @@ def _covariance(camera: StarCamera, trials: list[_Trial]) -> Floats:
     share = np.exp(evidence - evidence.max())
     grid = detector_grid(camera)
     u_s = camera.directions_from_pixels(grid)
-    design = np.concatenate(
-        [pixel_derivatives(camera, u_s, every), rotation_derivatives(camera, u_s)], axis=2
-    )
+    design = np.concatenate(pixel_derivatives(camera, u_s, every), axis=2)
     total = np.zeros((len(every), len(every)))
     for trial, weight in zip(smooth_free, share / share.sum()):
         off = trial.camera.pixels_from_directions(u_s) - grid
         seen = np.isfinite(off).all(axis=1)  # of wide fields the corners may have no direction
-        J = pixel_derivatives(trial.camera, u_s[seen], trial.free)
+        J, _ = pixel_derivatives(trial.camera, u_s[seen], trial.free)
         columns = design[seen].reshape(-1, design.shape[2])
         unit = 1.0 / np.linalg.norm(columns, axis=0)
         wanted = np.concatenate([J, off[seen, :, None]], axis=2).reshape(len(columns), -1)
@@ -289,10 +286,8 @@ class _System:
         xy = camera.pixels_from_directions(u_s)
         if not np.isfinite(xy).all():
             raise np.linalg.LinAlgError("the fitted camera cannot image all of the stars")
-        J = np.concatenate(
-            [pixel_derivatives(camera, u_s, free), smooth_derivatives(camera, xy, _DEGREE)], axis=2
-        )
-        A, residual = rotation_derivatives(camera, u_s), stars.xy_px - xy
+        (J, A), residual = pixel_derivatives(camera, u_s, free), stars.xy_px - xy
+        J = np.concatenate([J, smooth_derivatives(camera, xy, _DEGREE)], axis=2)
         W = np.linalg.inv(stars.cov_px) * keep[:, None, None]
         for k in range(len(stars.t_s)):
             rows = stars.frame == k

@@ -16,13 +16,7 @@ from scipy.spatial.transform import Rotation
 from boresight.features.sky_images.score import cramer_rao_px
 from boresight.geometry.star_camera import StarCamera
 from boresight.records.record import Bools, Floats, array, record, scalar
-from boresight.star_id.camera_fit import (
-    PARAMETERS,
-    detector_grid,
-    pixel_derivatives,
-    rotation_derivatives,
-    visible_derivatives,
-)
+from boresight.star_id.camera_fit import PARAMETERS, detector_grid, pixel_derivatives, visible_derivatives
 from boresight.star_id.field import FieldSolution
 from boresight.star_id.finding.psf import Psf
 from boresight.star_id.identification.triangle_index import StarIndex
@@ -140,8 +134,8 @@ def _information(
     u_s, xy, flux = u_s[found], xy[found], flux[found]
     noise = np.full(len(flux), images.noise_dn)
     sigma = cramer_rao_px(xy, flux, noise, images.psf, images.gain_e_per_dn, full_dn=images.full_dn)
-    J = (pixel_derivatives(camera, u_s) / sigma[:, None, None]).reshape(-1, len(PARAMETERS))
-    A = (rotation_derivatives(camera, u_s) / sigma[:, None, None]).reshape(-1, 3)
+    both = (derivatives / sigma[:, None, None] for derivatives in pixel_derivatives(camera, u_s))
+    J, A = (derivatives.reshape(2 * len(sigma), -1) for derivatives in both)
     return J.T @ J - J.T @ A @ np.linalg.solve(A.T @ A, A.T @ J), len(flux)
 
 
