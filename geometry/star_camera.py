@@ -28,11 +28,13 @@ from boresight.records.record import Bools, Floats, array, check_numbers, record
 
 __all__ = [
     "LEAST_FORWARD",
+    "Complex",
     "OpenCVParameters",
     "Projection",
     "SmoothDistortion",
     "StarCamera",
     "legendre_terms",
+    "pairs_of",
     "term_orders",
 ]
 
@@ -196,7 +198,7 @@ class StarCamera:
         ideal = self._ideal_mm(_points(xy_px), max(error_px * self.pixel_m * _MM, _EXACT_MM))
         if self.projection != "tangent":
             ideal = _radially(ideal, self.focal_m * _MM, _TANGENT_OVER_RADIUS[self.projection])
-        return _pairs(ideal * (-1.0 / (self.focal_m * _MM)))
+        return pairs_of(ideal * (-1.0 / (self.focal_m * _MM)))
 
     def pixels_from_directions(self, u_s: ArrayLike) -> Floats:
         """Image points (column, row) (N, 2), px, of directions (N, 3) of any length, frame s, distortion
@@ -215,7 +217,7 @@ class StarCamera:
             ideal = _radially(ideal, self.focal_m * _MM, _RADIUS_OVER_TANGENT[self.projection])
         actual, own, other = self._distorted(ideal)
         actual[~self._is_valid(ideal, own, other)] = complex(np.nan, np.nan)
-        xy = np.asarray(self.principal_px) + _pairs(actual) / (self.pixel_m * _MM)
+        xy = np.asarray(self.principal_px) + pairs_of(actual) / (self.pixel_m * _MM)
         return xy if self.smooth is None else self.smooth.applied(xy)
 
     def pixel_jacobian(self, xy_px: ArrayLike) -> Floats:
@@ -235,10 +237,10 @@ class StarCamera:
         dactual_dideal[:, 0, 0], dactual_dideal[:, 1, 1] = own + other.real, own - other.real
         dactual_dideal[:, 0, 1] = dactual_dideal[:, 1, 0] = other.imag
         f_mm = self.focal_m * _MM
-        u = _normalised(_pairs(ideal / -f_mm))
+        u = _normalised(pairs_of(ideal / -f_mm))
         across = (np.eye(3) - u[:, :, None] * u[:, None, :]) * (u[:, 2] / f_mm)[:, None, None]
         J = -across[:, :, :2] @ _inverse_2x2(dactual_dideal) * (self.pixel_m * _MM)
-        return _normalised(_pairs(ideal * (-1.0 / f_mm))), J
+        return _normalised(pairs_of(ideal * (-1.0 / f_mm))), J
 
     def pixel_slopes(self, xy_px: ArrayLike) -> Floats:
         """Derivative of the pixels by direction, (N, 2, 3): `d(column, row) / d u_s`, px, at the directions
@@ -255,7 +257,7 @@ class StarCamera:
         _, own, other = self._distorted(ideal)
         slopes[:, 0, 0], slopes[:, 1, 1] = scale * (own + other.real), scale * (own - other.real)
         slopes[:, 0, 1] = slopes[:, 1, 0] = scale * other.imag
-        slopes[:, :, 2] = _pairs(-scale * (own * t + other * t.conj()))
+        slopes[:, :, 2] = pairs_of(-scale * (own * t + other * t.conj()))
         return slopes
 
     def opencv_parameters(self) -> OpenCVParameters:
@@ -430,7 +432,7 @@ def _complex(points: Floats) -> Complex:
     return np.ascontiguousarray(points).view(np.complex128)[:, 0]
 
 
-def _pairs(z: Complex) -> Floats:
+def pairs_of(z: Complex) -> Floats:
     """Points (N, 2) of x + iy."""
     return z.view(float).reshape(-1, 2)
 

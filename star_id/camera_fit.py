@@ -8,7 +8,7 @@ centroid; outliers are rejected.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from types import MappingProxyType
@@ -16,7 +16,7 @@ from types import MappingProxyType
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.star_camera import StarCamera, legendre_terms
+from boresight.geometry.star_camera import Complex, StarCamera, legendre_terms, pairs_of
 from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import MEDIAN_CHI2, SELDOM_SIGMA
 from boresight.star_id.common_variance import SMALL_CHANGE, common_variance
@@ -270,43 +270,43 @@ def _products_by_image(X: Floats, W: Floats, stars: IdentifiedStars) -> Floats:
 class _Projected:
     """Directions projected by a camera with parameters theta: log f, x0, y0 (px), p1 f, p2 f, q1 f^2, q2 f^4,
     log-f drift (1/s), q3 f^6. Distortion acts on coordinates divided by the nominal focal length, so all are
-    of order one."""
+    of order one. Points and displacements are x + iy, as in `StarCamera`."""
 
     pixels: Floats  # (N, 2)
-    tangent: Floats  # (2, N) tangent plane
-    t: Floats  # (2, N) undistorted coordinates: projected, times relative focal length
-    stretch: Floats  # (2, 2, N) d(pixels) / d(t)
-    by_tangent: Floats  # (2, 2, N) d(t) / d(tangent)
+    tangent: Complex  # (N,) tangent plane
+    t: Complex  # (N,) undistorted coordinates: projected, times relative focal length
+    own: Complex  # (N,) d(pixels) / d(t)
+    other: Complex  # (N,) and by the conjugate of t
+    own_tangent: Complex  # (N,) d(pixels) / d(tangent)
+    other_tangent: Complex  # (N,) and by the conjugate of the tangent
 
 
 def _project(theta: Floats, camera: StarCamera, u_s: Floats, time: Floats | float) -> _Projected:
-    f0 = camera.focal_m / camera.pixel_m
-    scale = np.broadcast_to(np.exp(theta[0] + theta[7] * np.asarray(time)), len(u_s))
-    tangent = -u_s[:, :2].T / u_s[:, 2]
-    projected, by_tangent = _projected_tangents(camera, tangent)
-    x, y = t = projected * scale
-    r2 = x * x + y * y
-    p1, p2, q1, q2 = theta[3:7]
-    q3 = theta[8]
-    radial, steep = r2 * (q1 + r2 * (q2 + r2 * q3)), 2.0 * (q1 + r2 * (2.0 * q2 + 3.0 * r2 * q3))
-    dx = x * radial + p1 * (r2 + 2.0 * x * x) + 2.0 * p2 * x * y
-    dy = y * radial + p2 * (r2 + 2.0 * y * y) + 2.0 * p1 * x * y
-    across = steep * x * y + 2.0 * (p1 * y + p2 * x)
-    along_x = 1.0 + radial + steep * x * x + 6.0 * p1 * x + 2.0 * p2 * y
-    along_y = 1.0 + radial + steep * y * y + 6.0 * p2 * y + 2.0 * p1 * x
-    stretch = f0 * np.array([[along_x, across], [across, along_y]])
-    pixels = theta[1:3] + f0 * (t + np.array([dx, dy])).T
+    f0, p = camera.focal_m / camera.pixel_m, complex(theta[3], theta[4])
+    q1, q2, q3 = theta[[5, 6, 8]].tolist()
+    scale = np.exp(theta[0] + theta[7] * np.asarray(time))
+    tangent = (u_s[:, :2] / -u_s[:, 2:]).view(np.complex128)[:, 0]
+    projected, own_t, other_t = _projected_tangents(camera, tangent)
+    t = projected * scale
+    r2, sideways = t.real * t.real + t.imag * t.imag, 2.0 * (p.real * t.real + p.imag * t.imag)
+    s = r2 * (q1 + r2 * (q2 + r2 * q3)) + (sideways + 1.0)
+    slope = q1 + r2 * (2.0 * q2 + 3.0 * r2 * q3)
+    own, other = f0 * (s + r2 * slope + sideways), f0 * t * (slope * t + 2.0 * p)
+    pixels = theta[1:3] + pairs_of(f0 * (s * t + r2 * p))
     if camera.smooth is not None:
         pixels = camera.smooth.applied(pixels)
-    return _Projected(pixels, tangent, t, stretch, by_tangent * scale)
+    by_tangent = scale * (own * own_t + other * np.conj(other_t)), scale * (own * other_t + other * own_t)
+    return _Projected(pixels, tangent, t, own, other, *by_tangent)
 
 
-def _projected_tangents(camera: StarCamera, tangent: Floats) -> tuple[Floats, Floats]:
-    """Points (2, N) of the tangent plane as the camera projects them, and derivatives (2, 2, N)."""
-    unit = np.eye(2)[:, :, None]
+def _projected_tangents(
+    camera: StarCamera, tangent: Complex
+) -> tuple[Complex, Floats | float, Complex | float]:
+    """Points (N,) of the tangent plane as the camera projects them, derivatives by these and by their
+    conjugates; the former are real."""
     if camera.projection == "tangent":
-        return tangent, unit
-    r2 = np.maximum((tangent**2).sum(axis=0), 1e-18)
+        return tangent, 1.0, 0.0
+    r2 = np.maximum(tangent.real**2 + tangent.imag**2, 1e-18)
     if camera.projection == "stereographic":
         secant = np.sqrt(1.0 + r2)
         ratio = 2.0 / (1.0 + secant)
@@ -314,39 +314,45 @@ def _projected_tangents(camera: StarCamera, tangent: Floats) -> tuple[Floats, Fl
     else:
         ratio = np.arctan(np.sqrt(r2)) / np.sqrt(r2)
         slope = (1.0 / (1.0 + r2) - ratio) / r2
-    return tangent * ratio, unit * ratio + slope * tangent[:, None] * tangent
+    return tangent * ratio, ratio + 0.5 * slope * r2, 0.5 * slope * tangent * tangent
 
 
 def _camera_columns(
     projected: _Projected, camera: StarCamera, time: Floats | float, columns: list[int] | range
 ) -> Floats:
     """(N, 2, F) derivatives of the pixels by theta."""
-    f0 = camera.focal_m / camera.pixel_m
-    x, y = projected.t
-    r2, one, zero = x * x + y * y, np.ones_like(x), np.zeros_like(x)
-    by_scale = np.einsum("ijn,jn->in", projected.stretch, projected.t)
+    t, f0 = projected.t, camera.focal_m / camera.pixel_m
+    r2, square = t.real * t.real + t.imag * t.imag, t * t
+    by_scale = projected.own * t + projected.other * np.conj(t)
+    radial = f0 * r2 * t
     by_all = (
         by_scale,
-        (one, zero),
-        (zero, one),
-        f0 * np.array([r2 + 2.0 * x * x, 2.0 * x * y]),
-        f0 * np.array([2.0 * x * y, r2 + 2.0 * y * y]),
-        f0 * r2 * projected.t,
-        f0 * r2 * r2 * projected.t,
+        1.0,
+        1.0j,
+        f0 * (2.0 * r2 + square),
+        1.0j * f0 * (2.0 * r2 - square),
+        radial,
+        r2 * radial,
         by_scale * time,
-        f0 * r2**3 * projected.t,
+        r2 * r2 * radial,
     )
-    return (
-        np.stack([np.asarray(by_all[k]).T for k in columns], axis=2) if columns else np.empty((len(x), 2, 0))
-    )
+    return _as_columns([by_all[k] for k in columns], len(t))
 
 
 def _rotation_columns(projected: _Projected) -> Floats:
     """(N, 2, 3) derivatives of the pixels by a right-handed rotation about the axes of s: du = e x u."""
-    x, y = projected.tangent
-    by_rotation = np.array([[x * y, 1.0 + y * y], [-1.0 - x * x, -x * y], [-y, x]])  # (3, 2, N) of tangents
-    by_tangent = np.einsum("ijn,jkn->ikn", projected.stretch, projected.by_tangent)
-    return np.einsum("ijn,kjn->nik", by_tangent, by_rotation)
+    t = projected.tangent
+    by_rotation = 1.0j + t.imag * t, -1.0 - t.real * t, 1.0j * t
+    moved = (projected.own_tangent * dt + projected.other_tangent * np.conj(dt) for dt in by_rotation)
+    return _as_columns(list(moved), len(t))
+
+
+def _as_columns(moved: Sequence[Complex | complex], count: int) -> Floats:
+    """(N, 2, F) derivatives from displacements x + iy, each (N,) or common to all N points."""
+    rows = np.empty((count, len(moved)), dtype=np.complex128)
+    for k, column in enumerate(moved):
+        rows[:, k] = column
+    return np.stack([rows.real, rows.imag], axis=1)
 
 
 def _vector(camera: StarCamera, nominal: StarCamera | None = None) -> Floats:
