@@ -110,6 +110,8 @@ class LensErrors:
     def displaced_px(self) -> float:
         """Root mean square displacement along one axis, px, over the detector, by which the stars depart from
         the camera: scale, stretch and smooth distortion, less the best-fitting rotation."""
+        if not self.mean.any():  # a fitted camera that explains its stars
+            return 0.0
         node, weight = np.polynomial.legendre.leggauss(_DEGREE + 1)  # the mean of its squares is exact
         places = 1.0 + np.stack(np.meshgrid(node, node), axis=2).reshape(-1, 2)
         xy = 0.5 * (places * [self.camera.width_px, self.camera.height_px] - 1.0)
