@@ -63,16 +63,14 @@ def targets_suggest_command(
             help="Only what its strips will show, spread for the best forecast.",
         ),
     ] = None,
-    size_px: Annotated[int, typer.Option(help="Side of a chip, in pixels of its image.", min=32)] = 256,
-    most: Annotated[int, typer.Option(help="So many targets at most.", min=1)] = 40,
+    *,
+    request: SuggestRequest,
     band: Annotated[
         int | None,
         typer.Option(
             help="Band of the images; default: the mean of the first three.", min=1, autocompletion=_bands_of
         ),
     ] = None,
-    sigma_m: Annotated[float, typer.Option(help="1-sigma of the images' georeferencing.", min=0.0)] = 1.0,
-    sigma_up_m: Annotated[float, typer.Option(help="1-sigma of the heights.", min=0.0)] = 2.0,
     offset_m: Annotated[
         float | None,
         typer.Option(help="1-sigma of an offset east, north that all these images share.", min=0.0),
@@ -92,7 +90,6 @@ def targets_suggest_command(
     if bool(orthos) == (stac is not None):
         raise wrong_usage("give ortho-images or a catalogue by --stac, one of them")
     opened = None if dump is None else open_dump(dump)
-    request = SuggestRequest(size_px=size_px, most=most, sigma_m=sigma_m, sigma_up_m=sigma_up_m)
     if stac is None:
         images = [open_raster(path, band) for path in orthos or ()]
     else:
@@ -104,7 +101,7 @@ def targets_suggest_command(
         references = found.references(reference, offset_m, offset_up_m)
     except ValidationError as error:
         raise wrong_usage("--reference is an id, --offset-m and --offset-up-m are at most 10 km") from error
-    table = write_targets(found.targets, out, size_px, references)
+    table = write_targets(found.targets, out, request.size_px, references)
     lines = [*suggestion_lines(found), f"{len(found.targets)} targets -> {table}"]
     if references:
         lines.append(f"references -> {out / 'ground_references.toml'}: add them to dump.toml")
