@@ -292,7 +292,7 @@ def _of_tile(
     x, y = np.array([[one.x, one.y] for one in places]).reshape(-1, 2).T
     lon, lat = map_to_map(ortho.crs, DEGREES).transform(x, y)
     height, kind = heights.stated(lat, lon)
-    p_e = ecef_from_geodetic(np.radians(lat), np.radians(lon), heights.ellipsoidal(lat, lon), WGS84)
+    p_e = ecef_from_geodetic(np.radians(lat), np.radians(lon), heights.ellipsoidal(lat, lon))
     kept = set(np.flatnonzero(np.isfinite(height)).tolist())
     others, again = np.zeros(len(places), dtype=int), defaultdict[int, list[Again]](list)
     for k, other in enumerate(orthos if kept else ()):
