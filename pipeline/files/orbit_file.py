@@ -115,7 +115,10 @@ def read_oem(path: Path, file: str) -> Ephemeris:
 
 
 def read_segments(path: Path, file: str) -> tuple[Ephemeris, ...]:
-    """The segments of an OEM, in the order of the file and with one epoch; otherwise as `read_oem`."""
+    """The segments of an OEM, in the order of the file and with one epoch; otherwise as `read_oem`.
+
+    Raises `RawDataError`, also for segments of several objects.
+    """
     _, (header, *blocks) = message_blocks(read_message(path, file), file, OEM)
     _dated(header, file)
     if not [block for block in blocks if block.name == "META"]:
