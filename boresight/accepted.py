@@ -119,7 +119,7 @@ def flag_of(value: object, name: str) -> bool:
     return bool(value)
 
 
-def no_progress(stage: str, done: int, total: int) -> None:
+def no_progress(*_told: object) -> None:
     """No progress is shown."""
 
 

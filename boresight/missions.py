@@ -37,7 +37,7 @@ from boresight.accepted import (
 from boresight.calib.verdict import p_residuals
 from boresight.display import Result, axes_or_new, feature_function
 from boresight.features.table import features
-from boresight.geometry.constants import ARCSEC, WGS84
+from boresight.geometry.constants import ARCSEC
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.pipeline.calibration.calibrate import DumpCalibration as StageCalibration
 from boresight.pipeline.calibration.calibrate import calibrate_dump
@@ -224,7 +224,7 @@ class Calibration(Result):
         if self._run is not None:
             of = self._run[0].ground_targets
             p_e = [of[name].p_e if name in of else np.full(3, np.nan) for name in rows["target_id"]]
-            lat, lon, height_m = geodetic_from_ecef(np.reshape(p_e, (-1, 3)), WGS84)
+            lat, lon, height_m = geodetic_from_ecef(np.reshape(p_e, (-1, 3)))
             at = pd.DataFrame(np.degrees(np.column_stack([lon, lat])), rows.index, columns)
             return at[np.isfinite(height_m)].reindex(rows.index)
         keys, known = ["strip_id", "target_id", "ccd"], []

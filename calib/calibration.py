@@ -166,13 +166,9 @@ def _about(strips: Sequence[StripSightings], start: _Start) -> InstallationEstim
     of_heads, prepared, problem = posed.passes, posed.prepared, posed.problem
     test = rejection_test(settings.probability_false_alarm)
     if not problem.groups:
-        none = np.zeros((0, 3))
         return NotObservable(
             reason=f"{len(strips)} strips, none with a target between usable star exposures",
             directions_c=np.eye(3),
-            observable_c=none,
-            theta_along=none[:, 0],
-            sigma_along=none[:, 0],
             rejected=rejected_observations(of_heads, prepared, test.limit),
         )
     step, iterations, rivals = _solve(problem, R_cs0, test)
@@ -180,7 +176,7 @@ def _about(strips: Sequence[StripSightings], start: _Start) -> InstallationEstim
     rejected = rejected_observations(of_heads, prepared, test.limit, residuals)
     R_cs = corrected(step.about.R_cs, step.solution.theta)
     if len(step.solution.unobservable):
-        return _not_observable(step.solution, theta_of(R_cs, R_cs0), rejected, problem)
+        return _not_observable(step.solution, rejected, problem)
     carrying = [strip for strip in prepared if strip.inside.any()]
     exposures = [strip.attitudes for strip in carrying]
     n_kept, n_theta = int(np.sum(step.weight > 0.0)), len(step.solution.theta)
@@ -306,26 +302,14 @@ def _residuals(
     )
 
 
-def _not_observable(
-    solution: Solution, theta: Floats, rejected: tuple[Entry, ...], problem: Problem
-) -> NotObservable:
-    unseen = solution.unobservable
-    values, vectors = np.linalg.eigh(solution.covariance)
-    seen = vectors.T[len(unseen) :]
+def _not_observable(solution: Solution, rejected: tuple[Entry, ...], problem: Problem) -> NotObservable:
     limit = problem.settings.sigma_observable_rad
-    text = ", ".join(_axis(d.reshape(-1, 3), problem.cameras) for d in unseen)
+    text = ", ".join(_axis(d.reshape(-1, 3), problem.cameras) for d in solution.unobservable)
     reason = (
         f"the rotation about {text} (frame c) is not observable: its 1-sigma would exceed {limit:.3g} rad; "
         f"targets spread wider over the field, or a star camera that looks another way, would show it"
     )
-    return NotObservable(
-        reason=reason,
-        directions_c=unseen,
-        observable_c=seen,
-        theta_along=seen @ theta,
-        sigma_along=np.sqrt(np.maximum(values[len(unseen) :], 0.0)),
-        rejected=rejected,
-    )
+    return NotObservable(reason=reason, directions_c=solution.unobservable, rejected=rejected)
 
 
 def _axis(d: Floats, cameras: tuple[str, ...]) -> str:

@@ -196,11 +196,8 @@ class InstallationEstimate:
 
 @record(kw_only=True)
 class NotObservable:
-    """Result where the data do not fix all three angles; no number is given along the undetermined axes."""
+    """Result where the data do not fix all three angles: no number is given."""
 
     reason: str = scalar("what is lacking, in words")
     directions_c: Floats = array("M, T", "unit vectors: rotations about them are not observable")
-    observable_c: Floats = array("L, T", "unit vectors, the T - M observable ones")
-    theta_along: Floats = array("L", "deviation from R_cs0 about each observable axis, rad")
-    sigma_along: Floats = array("L", "its 1-sigma, rad")
     rejected: tuple[Entry, ...] = scalar("observations that take no part")

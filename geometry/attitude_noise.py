@@ -18,7 +18,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.records.record import Floats, array, record, scalar
+from boresight.records.record import Floats, array, check_numbers, record, scalar
 
 __all__ = ["NO_NOISE", "AttitudeNoise", "LastingError"]
 
@@ -62,6 +62,7 @@ class AttitudeNoise:
     R_sn: Rotation = scalar("axes of the head to frame s", default=Rotation.identity())
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name in ("white_rad", "correlated_rad", "constant_rad", "periodic_rad"):
             if not np.all(getattr(self, name) >= 0.0):
                 raise ValueError(f"{name} must not be negative, got {getattr(self, name)}")

@@ -1,6 +1,6 @@
 """Geodetic coordinates (latitude, longitude, height above the ellipsoid) and Earth-fixed coordinates.
 
-Frame e (ITRS/WGS84), metres, radians. Terrain is in `geometry.terrain`.
+Frame e (ITRS/WGS84: the ellipsoid, unless another is given), metres, radians.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import erfa
 import numpy as np
 from numpy.typing import ArrayLike
 
-from boresight.geometry.constants import Ellipsoid
+from boresight.geometry.constants import WGS84, Ellipsoid
 from boresight.records.record import Floats
 
 __all__ = [
@@ -24,13 +24,13 @@ __all__ = [
 ]
 
 
-def geodetic_from_ecef(p_e: ArrayLike, ellipsoid: Ellipsoid) -> tuple[Floats, Floats, Floats]:
+def geodetic_from_ecef(p_e: ArrayLike, ellipsoid: Ellipsoid = WGS84) -> tuple[Floats, Floats, Floats]:
     """Geodetic latitude, longitude (-pi to pi), rad, and height above the ellipsoid, m, (...) each, of points
     (..., 3) in frame e, m (Fukushima 2006, by ERFA). NaN gives NaN.
 
     Examples
     --------
-    >>> lat, lon, height = geodetic_from_ecef([6378237.0, 0.0, 0.0], WGS84)
+    >>> lat, lon, height = geodetic_from_ecef([6378237.0, 0.0, 0.0])
     >>> round(float(height), 6)
     100.0
     """
@@ -42,7 +42,7 @@ def geodetic_from_ecef(p_e: ArrayLike, ellipsoid: Ellipsoid) -> tuple[Floats, Fl
 
 
 def ecef_from_geodetic(
-    lat_rad: ArrayLike, lon_rad: ArrayLike, height_m: ArrayLike, ellipsoid: Ellipsoid
+    lat_rad: ArrayLike, lon_rad: ArrayLike, height_m: ArrayLike, ellipsoid: Ellipsoid = WGS84
 ) -> Floats:
     """Earth-fixed coordinates (..., 3), m, of geodetic latitude, longitude and height above the ellipsoid.
 
@@ -71,7 +71,7 @@ def local_axes_e(lat_rad: ArrayLike, lon_rad: ArrayLike) -> Floats:
 
 
 def ray_ellipsoid_intersection(
-    origin_e: Floats, direction_e: Floats, height_m: ArrayLike, ellipsoid: Ellipsoid
+    origin_e: Floats, direction_e: Floats, height_m: ArrayLike, ellipsoid: Ellipsoid = WGS84
 ) -> Floats:
     """First points (N, 3), frame e, m, of rays at geodetic height `height_m`, a number or (N,); rays that
     miss it, or start below, give NaN. Origins, m, and directions of any length, (N, 3), are in frame e.
@@ -85,7 +85,7 @@ def ray_ellipsoid_intersection(
 
 
 def columns_at_height(
-    origin: Floats, direction: Floats, height_m: ArrayLike, ellipsoid: Ellipsoid
+    origin: Floats, direction: Floats, height_m: ArrayLike, ellipsoid: Ellipsoid = WGS84
 ) -> tuple[Floats, Floats]:
     """Points of `ray_ellipsoid_intersection` and unit verticals there (to 3e-8 rad); vectors are (3, N)."""
     height = np.asarray(height_m, dtype=float)
@@ -101,7 +101,7 @@ def columns_at_height(
 
 
 def distances_to_shell(
-    origin: Floats, direction: Floats, height_m: ArrayLike, ellipsoid: Ellipsoid
+    origin: Floats, direction: Floats, height_m: ArrayLike, ellipsoid: Ellipsoid = WGS84
 ) -> Floats:
     """Distances (N,) from origins (3, N), in lengths of the directions (3, N), to the first points of rays on
     the ellipsoid with semi-axes a + h, b + h; NaN as in `ray_ellipsoid_intersection`.
@@ -122,7 +122,7 @@ def distances_to_shell(
     return np.asarray(above / (np.sqrt(discriminant) - od))
 
 
-def verticals(p: Floats, height: Floats, ellipsoid: Ellipsoid) -> Floats:
+def verticals(p: Floats, height: Floats, ellipsoid: Ellipsoid = WGS84) -> Floats:
     """Unit verticals (3, N) at points (3, N), frame e, of approximately known height; to 3e-8 rad up to 9 km.
 
     Faster than by latitude and longitude: x : z = (N + h) cos(lat) : (N (1 - e^2) + h) sin(lat), with the

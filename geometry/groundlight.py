@@ -183,8 +183,8 @@ def moves_by_light(
         switched: dict[str, Any] = {name: not is_modelled}
         change = stated - seen(p_e, replace(effects, **switched))
         moves.append(change if is_modelled else -change)
-    lat, lon, height_m = geodetic_from_ecef(p_e, WGS84)
-    higher = seen(ecef_from_geodetic(lat, lon, (1.0 + HIGHER) * height_m, WGS84), effects) - stated
+    lat, lon, height_m = geodetic_from_ecef(p_e)
+    higher = seen(ecef_from_geodetic(lat, lon, (1.0 + HIGHER) * height_m), effects) - stated
     return np.stack([*moves, higher], axis=2)
 
 
@@ -204,10 +204,10 @@ def apparent_directions_e(
         range_m = _length(emitter - satellite)
     aim = emitter
     if effects.refraction:
-        height = geodetic_from_ecef(ground_e, WGS84)[2]
+        height = geodetic_from_ecef(ground_e)[2]
         for _ in range(2):  # contraction 1e-6 an iteration
             down = _unit(aim - satellite)
-            up = verticals(aim, height, WGS84)
+            up = verticals(aim, height)
             aim = emitter + _refraction(down, up, height, effects.atmosphere)[0]
     u = _unit(aim - satellite)
     return (_aberrated(u, _rows(v_e)) if effects.aberration else u).T, range_m
@@ -264,7 +264,7 @@ def _path_at_height(
     """Point, direction and distance of the light paths at a height; vectors are columns (3, N)."""
     down = _aberrated(_rows(u_e), -_rows(v_e)) if effects.aberration else _rows(u_e)
     satellite = _rows(p_e)
-    point, up = columns_at_height(satellite, down, height_m, WGS84)
+    point, up = columns_at_height(satellite, down, height_m)
     if effects.refraction:
         shift, bend = _refraction(down, up, height_m, effects.atmosphere)
         point, down = point - shift, down + bend

@@ -139,10 +139,10 @@ class Ccd:
             raise ValueError(f"across_offsets_m must have 0 or {len(samples)} entries, got {len(across)}")
         if len(samples) == 1 or np.any(np.diff(samples) <= 0.0):
             raise ValueError(f"distortion_samples must be two or more in increasing order, got {samples}")
-        place = (self.y_first_m, self.x_offset_m, self.rotation_rad, self.principal_sample, self.pixel_m)
-        finite = np.isfinite([*place, *samples, *offsets, *across]).all()
-        if not (self.n_px > 0 and self.pixel_m > 0.0 and finite):
-            raise ValueError(f"n_px and pixel_m must be positive, all finite, got {self.n_px}, {place}")
+        place = ("y_first_m", "x_offset_m", "rotation_rad", "principal_sample")
+        check_numbers(self, any_value=place)
+        if not np.isfinite([*(getattr(self, name) for name in place), *samples, *offsets, *across]).all():
+            raise ValueError(f"{', '.join(place)} and the distortion table must be finite")
         object.__setattr__(self, "distortion_samples", samples)
         object.__setattr__(self, "distortion_offsets_m", offsets)
         if len(samples):
@@ -307,6 +307,7 @@ class LookTable:
     tan_y: Floats = array("K", "u_y / u_z, strictly monotone")
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         for name in ("samples", "tan_x", "tan_y"):
             object.__setattr__(self, name, np.asarray(getattr(self, name), dtype=float))
         if len(self.samples) < 2 or not np.all(np.diff(self.samples) > 0.0) or np.isnan(self.tan_x).any():

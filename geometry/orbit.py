@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from boresight.records.record import Floats, Ints, array, record, scalar
+from boresight.records.record import Floats, Ints, array, check_numbers, record, scalar
 
 if TYPE_CHECKING:
     from boresight.geometry.earth_rotation import EarthRotation
@@ -66,14 +66,13 @@ class Orbit:
 
     def __post_init__(self) -> None:
         k = len(self.t_s)
+        check_numbers(self)
         if self.frame not in ("GCRF", "ITRF"):
             raise ValueError(f"Orbit.frame must be GCRF or ITRF, got {self.frame!r}")
         if self.method not in ("lagrange", "hermite"):
             raise ValueError(f"Orbit.method must be lagrange or hermite, got {self.method!r}")
         if self.method == "hermite" and self.velocities_m_s is None:
             raise ValueError("Hermite interpolation needs velocities")
-        if self.degree < 1:
-            raise ValueError(f"Orbit.degree must be 1 or more, got {self.degree}")
         if k < self.nodes_needed:
             raise ValueError(
                 f"{self.method}, degree {self.degree}: {self.nodes_needed} nodes needed, got {k}"

@@ -364,7 +364,7 @@ class Pushbroom:
         p_e = self._ray_intersections(u_e, states, surface, height_m)
         far = np.flatnonzero(self._path_curvature_m(p_e, u_e, height_m) > _CURVATURE_M)
         if len(far):
-            height = geodetic_from_ecef(p_e[far], WGS84)[2]
+            height = geodetic_from_ecef(p_e[far])[2]
             p_e[far] = self._ray_intersections(u_e[far], states.take(far), surface, height)
         return p_e
 
@@ -401,7 +401,7 @@ class Pushbroom:
             return one
         at_row, at_sample = (grid.ravel() for grid in np.meshgrid(rows, samples, indexing="ij"))
         p_e = self._intersections(ccd, at_sample, at_row, surface, np.full(len(at_row), middle))
-        heights = np.nan_to_num(geodetic_from_ecef(p_e, WGS84)[2], nan=middle).reshape(_LATTICE)
+        heights = np.nan_to_num(geodetic_from_ecef(p_e)[2], nan=middle).reshape(_LATTICE)
         return _HeightsOverImage(samples, rows, heights.astype(np.float32), middle)
 
     def _states(self, row: Floats) -> _States:
@@ -453,7 +453,7 @@ def outline_deg(model: Pushbroom, lines: Mapping[int, int], surface: Surface) ->
     sides = []
     for (ccd, sample), order in ((min(ends, key=ends.__getitem__), 1), (max(ends, key=ends.__getitem__), -1)):
         line = np.linspace(0.0, lines[ccd] - 1.0, _OUTLINE)
-        lat, lon, _ = geodetic_from_ecef(model.ground_points(ccd, sample, line, surface), WGS84)
+        lat, lon, _ = geodetic_from_ecef(model.ground_points(ccd, sample, line, surface))
         lon = np.degrees(lon)
         for middle in lon[np.isfinite(lon)][:1]:  # no step at the date line
             lon = middle + (lon - middle + 180.0) % 360.0 - 180.0

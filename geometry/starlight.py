@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.constants import SPEED_OF_LIGHT, WGS84
+from boresight.geometry.constants import SPEED_OF_LIGHT
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import ecef_from_geodetic, unit_vectors
@@ -113,7 +113,7 @@ class GroundSite:
     def at(self, earth: EarthRotation, t_s: float) -> SiteState:
         """Position, velocity and refraction of the site at `t_s` (TAI seconds since `earth.epoch`)."""
         matrix_ie = earth.matrices_ie([t_s])[0]
-        p_e = ecef_from_geodetic(self.lat_rad, self.lon_rad, self.height_m, WGS84)
+        p_e = ecef_from_geodetic(self.lat_rad, self.lon_rad, self.height_m)
         up_e = unit_vectors(self.lon_rad, self.lat_rad)
         a, b = erfa.refco(self.pressure_hpa, self.temperature_c, 0.0, _WAVELENGTH_UM)
         air = Air(matrix_ie @ up_e, float(a), float(b))

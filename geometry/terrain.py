@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Transformer
 
-from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import distances_to_shell, geodetic_from_ecef, ray_ellipsoid_intersection
 from boresight.geometry.geoid import Geoid
 from boresight.geometry.terrain_rays import (
@@ -245,10 +244,10 @@ def intersect(origin_e: Floats, direction_e: Floats, surface: Surface) -> Floats
 
 
 def _on_flat(origin_e: Floats, direction_e: Floats, surface: Surface, height: float) -> Floats:
-    p_e = ray_ellipsoid_intersection(origin_e, direction_e, height, WGS84)
+    p_e = ray_ellipsoid_intersection(origin_e, direction_e, height)
     if isinstance(surface, ConstantHeight):
         return p_e
-    lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
+    lat, lon, _ = geodetic_from_ecef(p_e)
     return np.where(np.isfinite(surface.height_m(lat, lon))[:, None], p_e, np.nan)
 
 
@@ -261,7 +260,7 @@ class _RaysOverSurface:
     path: Floats
 
     def above_ground(self, share: Floats) -> Floats:
-        lat, lon, height = geodetic_from_ecef(self.top + share[:, None] * self.path, WGS84)
+        lat, lon, height = geodetic_from_ecef(self.top + share[:, None] * self.path)
         return height - self.surface.height_m(lat, lon)
 
     def of(self, rays: Ints) -> _RaysOverSurface:
@@ -271,8 +270,8 @@ class _RaysOverSurface:
 def _on_relief(origin_e: Floats, direction_e: Floats, surface: Surface, low: float, high: float) -> Floats:
     """First intersections (N, 3) on each ray from just above the highest ground to just below the lowest."""
     origin, direction = np.ascontiguousarray(origin_e.T), np.ascontiguousarray(direction_e.T)
-    near = distances_to_shell(origin, direction, high + _MARGIN_M, WGS84)
-    far = distances_to_shell(origin, direction, low - _MARGIN_M, WGS84)
+    near = distances_to_shell(origin, direction, high + _MARGIN_M)
+    far = distances_to_shell(origin, direction, low - _MARGIN_M)
     if isinstance(surface, TerrainGrid):
         middle, half = origin + (0.5 * (near + far)) * direction, (0.5 * (far - near)) * direction
         return np.asarray((middle + _shares_on_grid(middle, half, surface) * half).T)
@@ -291,7 +290,7 @@ def _shares_on_grid(middle: Floats, half: Floats, grid: TerrainGrid) -> Floats:
     degree = 2 + int(np.searchsorted(_LONGEST_PATH_M, longest))
     tracks = np.empty((degree + 1, 3, middle.shape[1]))
     for s, track in zip(_nodes(degree), tracks):
-        track[:] = geodetic_from_ecef((middle + s * half).T, WGS84)
+        track[:] = geodetic_from_ecef((middle + s * half).T)
     return first_crossings(grid.heights_m, grid.bounds, grid.pixels_along_tracks(tracks))
 
 
@@ -308,7 +307,7 @@ def _on_tiles(origin_e: Floats, direction_e: Floats, tiles: TerrainTiles) -> Flo
     p_e, nearest = np.full((len(origin_e), 3), np.nan), np.full(len(origin_e), np.inf)
     for grid in tiles.grids:
         found = intersect(origin_e, direction_e, grid)
-        lat, lon, height = geodetic_from_ecef(found, WGS84)
+        lat, lon, height = geodetic_from_ecef(found)
         away = np.linalg.norm(found - origin_e, axis=1)
         on_it = (np.abs(height - tiles.height_m(lat, lon)) < _ON_GROUND_M) & (away < nearest)
         p_e[on_it], nearest[on_it] = found[on_it], away[on_it]

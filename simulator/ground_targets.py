@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pyproj import Transformer
 
-from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.geoid import Geoid
 from boresight.records.record import record
@@ -133,7 +132,7 @@ def _surveyed(
     lon_deg, lat_deg = to_map.transform(east, north, direction="INVERSE")
     lat, lon = np.radians([lat_deg]), np.radians([lon_deg])
     height = scene.surface.height_m(lat, lon)
-    p_e = ecef_from_geodetic(lat, lon, height, WGS84)
+    p_e = ecef_from_geodetic(lat, lon, height)
     error = rng.standard_normal(3) * settings.sigma_m
     reported_east, reported_north = east + error[0], north + error[1]
     reported_lon, reported_lat = to_map.transform(reported_east, reported_north, direction="INVERSE")
@@ -149,7 +148,7 @@ def _true_points(
     point_ids: list[str], strip_id: str, scene: TrueScene, lines: int, p_e: Array
 ) -> list[TruePoint]:
     """Ground points (N, 3) in every CCD that sees them; in the order of the points."""
-    lat, lon, height = geodetic_from_ecef(p_e, WGS84)
+    lat, lon, height = geodetic_from_ecef(p_e)
     points = []
     for ccd in range(scene.model.camera.n_ccds):
         sample, line = scene.model.pixels_from_ground(ccd, p_e)

@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.constants import WGS84
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
@@ -467,7 +466,7 @@ def _box_deg(model: Pushbroom, scenario: Scenario) -> tuple[float, float, float,
         end = float(model.camera.n_px(ccd) - 1)
         sample, line = np.array([0.0, end, 0.0, end]), np.array([0.0, 0.0, last, last])
         corners.append(model.ground_points(ccd, sample, line, ConstantHeight(scenario.terrain.mean_m)))
-    lat, lon, _ = geodetic_from_ecef(np.concatenate(corners), WGS84)
+    lat, lon, _ = geodetic_from_ecef(np.concatenate(corners))
     lat_deg = np.degrees(lat)
     lon_deg = np.degrees(lon[0] + (lon - lon[0] + np.pi) % (2.0 * np.pi) - np.pi)  # in one piece across 180
     wide = _MARGIN_DEG / float(np.cos(lat.mean()))

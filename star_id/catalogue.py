@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.starlight import StarPlaces
-from boresight.records.record import Bools, Floats, Texts, array, record, scalar
+from boresight.records.record import Bools, Floats, array, record, scalar
 
 __all__ = ["DISAGREEMENT_LIMIT_MAS", "EPOCH_JYEAR", "CatalogueStars", "hipparcos_stars"]
 
@@ -37,7 +37,6 @@ class CatalogueStars:
     places: StarPlaces = scalar("positions, proper motions and magnitudes")
     solved: Bools = array("N", "whether van Leeuwen gives a solution; else the error is about 0.1 arcsec")
     disagreement_mas: Floats = array("N", "between the two solutions in 2026, mas; NaN if one is missing")
-    multiplicity: Texts = array("N", "ESA flag: C components, G acceleration, O orbit, V, X, or ''")
     photocentre_shift_arcsec: Floats = array("N", "from the position to an unresolved pair's photocentre")
 
     @property
@@ -72,9 +71,7 @@ def hipparcos_stars(max_v_mag: float = 8.0) -> CatalogueStars:
         b_v=c["b_v"].astype(float),
         epoch_jyear=EPOCH_JYEAR,
     )
-    return CatalogueStars(
-        places, c["solved"], c["disagreement_mas"].astype(float), c["multiplicity"], _photocentre_shift(c)
-    )
+    return CatalogueStars(places, c["solved"], c["disagreement_mas"].astype(float), _photocentre_shift(c))
 
 
 @lru_cache(maxsize=1)

@@ -22,7 +22,7 @@ from boresight.star_id.beyond_chance import LEAST_STARS
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.star_list import list_stars
-from boresight.star_id.identification.identify import AttitudePrior, NotIdentified, identify_stars
+from boresight.star_id.identification.identify import NotIdentified, identify_stars
 from boresight.star_id.identification.tangent_plane import FieldOfView
 from boresight.star_id.identification.triangle_index import StarIndex, concatenated_ranges, equivalent_fov
 from boresight.star_id.observer import Observer, star_directions
@@ -56,9 +56,6 @@ def sight_stars(
     index: StarIndex,
     observer: Observer,
     settings: StarSettings,
-    *,
-    dark: NDArray[Any] | None = None,
-    prior: AttitudePrior | None = None,
 ) -> StarSightings | NotIdentified:
     """Identified stars of one exposure, fit for calibration.
 
@@ -76,10 +73,6 @@ def sight_stars(
         Middle of the exposure, position and velocity of the satellite.
     settings : StarSettings
         A rotation of the satellite during the exposure is stated by `settings.smear_px` (`smear_of_rate`).
-    dark : (H, W) array, optional
-        Dark frame of the camera.
-    prior : AttitudePrior, optional
-        Expected attitude, aberration not removed; saves time.
 
     Returns
     -------
@@ -89,10 +82,10 @@ def sight_stars(
     Raises
     ------
     ValueError
-        If the image is not (H, W) of at least 32 pixels, or the dark frame has another size.
+        If the image is not (H, W) of at least 32 pixels.
     """
-    stars = list_stars(image, settings, dark)
-    found = sight_centroids(exposure_id, stars.centroids, camera, index, observer, settings, prior=prior)
+    stars = list_stars(image, settings)
+    found = sight_centroids(exposure_id, stars.centroids, camera, index, observer, settings)
     return explained(found, image, stars.saturation_dn) if isinstance(found, NotIdentified) else found
 
 
@@ -117,12 +110,10 @@ def sight_centroids(
     index: StarIndex,
     observer: Observer,
     settings: StarSettings,
-    *,
-    prior: AttitudePrior | None = None,
 ) -> StarSightings | NotIdentified:
     """Identified stars of one exposure from its N centroids (N, 2); arguments as in `sight_stars`."""
     plane, field = tangent_coordinates(camera, stars.xy_px), field_of_camera(camera, settings)
-    found = identify_stars(plane, field, index, settings, prior=prior)
+    found = identify_stars(plane, field, index, settings)
     if isinstance(found, NotIdentified):
         reason = f"exposure {exposure_id}: {found.reason}"
         return NotIdentified(reason, found.n_stars, found.proposals, found.best_log_odds)

@@ -168,7 +168,7 @@ def _states(pushbroom: Pushbroom, ccd: int, t_s: Floats, height_m: float) -> tup
     u_i = np.einsum("nij,kj->nki", R_ic.as_matrix(), u_c).reshape(-1, 3)
     t_each = np.repeat(t_s, FIT_SAMPLES)
     rays = lines_of_sight_e(u_i, t_each, pushbroom.orbit, pushbroom.earth, pushbroom.effects, height_m)
-    ground = ray_ellipsoid_intersection(*rays, height_m, WGS84).reshape(len(t_s), FIT_SAMPLES, 3)
+    ground = ray_ellipsoid_intersection(*rays, height_m).reshape(len(t_s), FIT_SAMPLES, 3)
     if not np.isfinite(ground).all():
         raise ValueError(f"a line of sight does not meet the height of {height_m:.0f} m")
     p_e = rays[0].reshape(len(t_s), FIT_SAMPLES, 3)[:, FIT_SAMPLES // 2]

@@ -37,7 +37,6 @@ from boresight.features.exports.spice_export import (
 )
 from boresight.features.exports.star_fits import centroids_fits
 from boresight.features.exports.vrt import vrt_with_gcps, vrt_with_rpc
-from boresight.geometry.constants import WGS84
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import egm96
@@ -434,7 +433,7 @@ def _ground_points(request: ExportRequest) -> list[GroundPoints]:
     for strip, one in chosen:
         rows = np.flatnonzero((strips == strip) & (ccd == one))
         p_e = np.array([targets[name].p_e for name in names[rows]])
-        lat, lon, height = geodetic_from_ecef(p_e, WGS84)
+        lat, lon, height = geodetic_from_ecef(p_e)
         residual_px = xy[rows] - _computed(calibrated, strip, one, p_e)
         points.append(
             GroundPoints(

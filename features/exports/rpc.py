@@ -13,7 +13,6 @@ from __future__ import annotations
 import numpy as np
 
 from boresight.features.exports.ground_error import GroundError
-from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.terrain import ConstantHeight, Surface
@@ -138,7 +137,7 @@ def _ground(
     for height in np.unique(height_m):
         here = height_m == height
         p_e[here] = model.ground_points(ccd, sample[here], line[here], ConstantHeight(float(height)))
-    lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
+    lat, lon, _ = geodetic_from_ecef(p_e)
     if not np.isfinite(p_e).all():
         raise ValueError("the strip's model has no ground for some of its pixels")
     east = (np.degrees(lon - lon[0]) + 180.0) % 360.0 - 180.0  # no step at the date line

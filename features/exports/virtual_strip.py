@@ -18,7 +18,6 @@ from rasterio.windows import Window
 from boresight.features.exports.ground_error import GroundError
 from boresight.features.exports.rpc import RpcError, fit_rpc, rpc_heights, rpc_metadata, rpc_text
 from boresight.features.exports.virtual_ccd import VirtualStrip
-from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.line_camera import LookAngleCamera
 from boresight.geometry.terrain import Surface
@@ -78,7 +77,7 @@ def _control_points(virtual: VirtualStrip, lines: int) -> list[GroundControlPoin
     axes = [np.linspace(0.0, end, n, dtype=np.float64) for end, n in zip(ends, CONTROL)]
     line, sample = (grid.ravel() for grid in np.meshgrid(*axes, indexing="ij"))
     p_e = virtual.virtual.ground_points(0, sample, line, virtual.surface)
-    lat, lon, height = geodetic_from_ecef(p_e, WGS84)
+    lat, lon, height = geodetic_from_ecef(p_e)
     return [
         GroundControlPoint(
             row=float(line[n]) + 0.5,

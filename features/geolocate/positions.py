@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 
-from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.terrain import Surface
 from boresight.pipeline.errors import RawDataError
@@ -80,7 +79,7 @@ def ground_places(
         sample, line = pixels.sample[rows], pixels.line[rows]
         p_e[rows] = model.pushbroom.ground_points(ccd, sample, line, surface)
         sigma[rows] = _sigma(errors, t_s[rows], p_e[rows])
-    lat, lon, height = geodetic_from_ecef(p_e, WGS84)
+    lat, lon, height = geodetic_from_ecef(p_e)
     unknown = ~np.isfinite(p_e).all(axis=1)
     for values in (lat, lon, height):
         values[unknown] = np.nan

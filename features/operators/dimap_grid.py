@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import rasterio
 
-from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import RawDataError, refusing
@@ -38,7 +37,7 @@ def places_of_pixels(strip: DimapStrip, pixels: Path, height_m: float) -> Iterat
             raise RawDataError(str(pixels), f"line {n + 2}", found, expected)
     sample, line = (np.array([getattr(row, name) for row in rows]) for name in ("sample", "line"))
     lat, lon, height = geodetic_from_ecef(
-        strip.pushbroom.ground_points(0, sample, line, ConstantHeight(height_m)), WGS84
+        strip.pushbroom.ground_points(0, sample, line, ConstantHeight(height_m))
     )
     yield "ccd,sample,line,lat_deg,lon_deg,height_m\n"
     for n in range(len(rows)):
@@ -71,6 +70,6 @@ def dimap_grid_differences(strip: DimapStrip, grid: Path) -> list[tuple[float, f
         altitude = float(tags[name])
         lon, lat = np.radians(bands[2 * k].ravel()), np.radians(bands[2 * k + 1].ravel())
         ours = strip.pushbroom.ground_points(0, sample, line, ConstantHeight(altitude))
-        off = np.linalg.norm(ours - ecef_from_geodetic(lat, lon, altitude, WGS84), axis=1)
+        off = np.linalg.norm(ours - ecef_from_geodetic(lat, lon, altitude), axis=1)
         found.append((altitude, float(np.sqrt(np.mean(off**2))), float(off.max())))
     return found

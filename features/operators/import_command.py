@@ -101,24 +101,19 @@ def import_points_command(
         str, typer.Option(help="Id of the strip in which they are measured.", autocompletion=strips_of)
     ],
     ccd: Annotated[int, typer.Option(help="Its CCD, from 0.", min=0, max=63, autocompletion=ccds_of)] = 0,
-    sigma_px: Annotated[float, typer.Option(help="1-sigma of the image positions, px.", min=1e-4)] = 0.5,
-    sigma_m: Annotated[
-        tuple[float, float, float],
-        typer.Option(help="1-sigma of the coordinates, m.", metavar="EAST NORTH UP", min=0.0),
-    ] = (1.0, 1.0, 1.0),
-    height_m: Annotated[float | None, typer.Option(help="Height of all points, m (QGIS has none).")] = None,
     height_kind: Annotated[
         Literal["ellipsoidal", "egm96"], typer.Option(help="What the heights are above.")
     ] = "ellipsoidal",
     image: Annotated[
         str | None, typer.Option(help="ASP: the image whose points are taken.", autocompletion=_images_of)
     ] = None,
+    *,
+    errors: PointErrors,
 ) -> Answer:
     """Make a points.csv of image points that another program has measured.
 
     Example: boresight import points b04.points points.csv --strip b04 --height-m 12 --sigma-m 2 2 3
     """
-    errors = PointErrors(sigma_px=sigma_px, sigma_m=sigma_m, height_m=height_m)
     found = read_measured_points(file, errors, image)
     text = points_csv(found, strip, ccd, height_kind)
     write_text(out, text)

@@ -16,6 +16,7 @@ from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from boresight.geometry.constants import WGS84
+from boresight.pipeline.console.arguments import option
 from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.content import check_extent, check_regular
 from boresight.pipeline.files.dump_schema import PointRow
@@ -39,9 +40,11 @@ MOST_POINTS = 500_000
 class PointErrors:
     """What a file of points does not say."""
 
-    sigma_px: float = scalar("1-sigma of an image position, px")
-    sigma_m: tuple[float, float, float] = scalar("of the coordinates: east, north, up, m")
-    height_m: float | None = scalar("height of all points of a QGIS file, m; None: none was given")
+    sigma_px: float = option("1-sigma of the image positions, px.", 0.5, min=1e-4)
+    sigma_m: tuple[float, float, float] = option(
+        "1-sigma of the coordinates, m.", (1.0, 1.0, 1.0), metavar="EAST NORTH UP", min=0.0
+    )
+    height_m: float | None = option("Height of all points, m (QGIS has none).")
 
 
 @record(kw_only=True)

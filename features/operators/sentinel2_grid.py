@@ -13,7 +13,6 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from boresight.features.operators.sentinel2_product import AttitudeRecord, Sentinel2
 from boresight.geometry.attitude import AttitudeTrack
-from boresight.geometry.constants import WGS84
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.geodesy import ecef_from_geodetic
@@ -71,7 +70,7 @@ def sentinel2_grid_differences(
     line, sample, lon, lat, height = np.array(
         [[row.line - 1.0, row.sample, row.lon, row.lat, row.alt] for row in rows]
     ).T
-    places = ecef_from_geodetic(np.radians(lat), np.radians(lon), height, WGS84)
+    places = ecef_from_geodetic(np.radians(lat), np.radians(lon), height)
     off = np.empty(len(rows))
     for one in np.unique(detector).tolist():
         model = operator_pushbroom(strip, one - 1, orbit)

@@ -17,11 +17,12 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
+from boresight.accepted import no_progress
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.features.paper.geometry_search import covariance_shapes, predicted_sigma
 from boresight.features.paper.paper_tables import FIGURE_7_CELLS, FIGURE_7_SIGMA_ARCSEC, TABLE_4
-from boresight.features.paper.vector_experiments import ExperimentSettings, Progress, unheard
+from boresight.features.paper.vector_experiments import ExperimentSettings, Progress
 from boresight.features.paper.wang import attitudes_of
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
@@ -83,7 +84,7 @@ class PixelSettings:
 
 def grid_from_pixels(
     settings: PixelSettings,
-    progress: Progress = unheard,
+    progress: Progress = no_progress,
     cells: Sequence[tuple[float, float]] = FIGURE_7_CELLS,
 ) -> pd.DataFrame:
     """Long-form table of the whole grid, methods "pixels" and "vectors": each mission has a sky, a ground and
@@ -103,7 +104,7 @@ def grid_from_pixels(
 
 def table4_from_pixels(
     settings: PixelSettings,
-    progress: Progress = unheard,
+    progress: Progress = no_progress,
     rows: Sequence[tuple[float, float]] = tuple(TABLE_4),
 ) -> pd.DataFrame:
     """Long-form table of Table 4, method "pixels", made as the grid is.

@@ -18,6 +18,7 @@ import pandas as pd
 import scipy
 from scipy.spatial.transform import Rotation
 
+from boresight.accepted import no_progress
 from boresight.features.paper.comparison import COMPARISONS
 from boresight.features.paper.geometry_search import geometry_map
 from boresight.features.paper.inputs import inputs
@@ -33,7 +34,6 @@ from boresight.features.paper.vector_experiments import (
     table4,
     table5,
     table5_readings,
-    unheard,
 )
 from boresight.geometry.geodesy import unit_vectors
 from boresight.pipeline.files.text_tables import table_csv
@@ -63,7 +63,7 @@ FROM_PIXELS = ("grid", "table4")  # of them: those that can be run through rende
 
 
 def run_experiment(
-    name: str, out: Path, settings: ExperimentSettings | PixelSettings, progress: Progress = unheard
+    name: str, out: Path, settings: ExperimentSettings | PixelSettings, progress: Progress = no_progress
 ) -> tuple[pd.DataFrame, list[Path]]:
     """Run one of `EXPERIMENTS`, with `PixelSettings` one of `FROM_PIXELS` through rendered images; its table,
     and the files written into `out`: `NAME.csv`, `NAME.png` and `NAME.txt`, or those of `NAME-pixels`.

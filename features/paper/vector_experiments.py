@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
+from boresight.accepted import no_progress
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
@@ -63,16 +64,9 @@ __all__ = [
     "table4",
     "table5",
     "table5_readings",
-    "unheard",
 ]
 
 Progress = Callable[[int, int], None]  # done, in all
-
-
-def unheard(done: int, total: int) -> None:
-    """Progress that is not shown."""
-
-
 MATRIX_28 = (0.003, 0.002, 0.001)  # rad, the paper's (28) under its own (12) and (13)
 # 1-sigma errors of the paper's Table 1.
 TABLE_1 = StripPlan(
@@ -155,7 +149,7 @@ def convergence_of_runs(settings: ExperimentSettings) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def grid(settings: ExperimentSettings, progress: Progress = unheard) -> pd.DataFrame:
+def grid(settings: ExperimentSettings, progress: Progress = no_progress) -> pd.DataFrame:
     """Figs. 7 and 9: the error over the grid of both cameras' noise, for the information form and Wang's
     method.
 
@@ -178,7 +172,7 @@ def grid(settings: ExperimentSettings, progress: Progress = unheard) -> pd.DataF
 
 
 def table4(
-    settings: ExperimentSettings, star_fields: Sequence[Floats], progress: Progress = unheard
+    settings: ExperimentSettings, star_fields: Sequence[Floats], progress: Progress = no_progress
 ) -> pd.DataFrame:
     """Table 4: rms error over many runs beside the paper's single draws, "information" from many frames.
 
@@ -197,7 +191,7 @@ def table4(
 
 
 def table5(
-    settings: ExperimentSettings, progress: Progress = unheard, rows: Sequence[float] = tuple(TABLE_5)
+    settings: ExperimentSettings, progress: Progress = no_progress, rows: Sequence[float] = tuple(TABLE_5)
 ) -> pd.DataFrame:
     """Table 5 and Fig. 10: geo-positioning at 20 check points per strip with every error of Table 1.
 
@@ -233,7 +227,7 @@ def table5(
     return pd.DataFrame(out, columns=columns)
 
 
-def table5_readings(settings: ExperimentSettings, progress: Progress = unheard) -> pd.DataFrame:
+def table5_readings(settings: ExperimentSettings, progress: Progress = no_progress) -> pd.DataFrame:
     """Table 5 under the paper's own reading: Wang's matrix from each single image, ours from all of them.
 
     Varied is what the paper leaves open: the order of Wang's polynomial, GPS errors constant over a strip or

@@ -33,6 +33,7 @@ from boresight.geometry.sightings import (
 )
 from boresight.geometry.star_camera import StarCamera
 from boresight.geometry.starlight import SurveyedStars, apparent_star_directions
+from boresight.pipeline.console.arguments import option
 from boresight.records.record import Floats, Ints, array, check_numbers, record, scalar
 from boresight.simulator.motion import acceleration
 
@@ -49,25 +50,24 @@ Z = np.array([0.0, 0.0, 1.0])  # line of sight, in frames s and c
 class ScanSettings:
     """How scans are made and what they must keep away from."""
 
-    count: int = 2
-    candidates: int = 200
-    hours: float = 24.0
-    duration_s: float = 7.2
-    rate_mrad_s: float = 3.6  # forward and backward
+    hours: float = option("Length of the time to choose from.", 24.0, min=0.1)
+    count: int = option("Number of scans wanted.", 2, "--scans", min=1)
+    candidates: int = option("Scans to choose from.", 200, min=2, max=5000)
+    duration_s: float = option("Length of a scan.", 7.2, min=0.1)
+    rate_mrad_s: float = option("Rate, forward and backward in turn.", 3.6, min=0.01)
     exposures_hz: float = 5.0
-    v_mag: float = 9.0  # faintest star measured in a strip
+    v_mag: float = option("Faintest star that is measured in a strip.", 9.0)
     star_sigma_px: float = 0.1  # in a strip, each axis
     head_v_mag: float = 6.0  # faintest star of the star camera
     head_sigma_px: float = 0.06
-    sun_deg: float = 60.0  # least angle of either camera's axis
-    moon_deg: float = 20.0
-    earth_deg: float = 15.0  # above the limb
-    seed: int = 1
+    sun_deg: float = option("Least angle of both cameras to the Sun.", 60.0, min=0.0)
+    moon_deg: float = option("... to the Moon.", 20.0, min=0.0)
+    earth_deg: float = option("... above the Earth's limb.", 15.0, min=0.0)
+    seed: int = option("Seed of the candidates.", 1, min=0)
 
     def __post_init__(self) -> None:
-        check_numbers(self, zero=("count", "sun_deg", "moon_deg", "earth_deg", "seed"))
-        if not 1 <= self.count <= self.candidates:
-            raise ValueError(f"count must be 1 to the candidates, {self.candidates}, got {self.count}")
+        check_numbers(self, zero=("sun_deg", "moon_deg", "earth_deg", "seed"))
+        object.__setattr__(self, "candidates", max(self.candidates, self.count))
 
 
 # Gravity with J2 alone: what it leaves out of a low orbit, drag above all, is some 10 km after a day and 100

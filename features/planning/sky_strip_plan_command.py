@@ -28,16 +28,8 @@ def sky_strip_plan_command(
     utc: Annotated[
         str | None, typer.Option(help="Beginning, such as 2026-11-22T18:00:00Z; default: the orbit's.")
     ] = None,
-    hours: Annotated[float, typer.Option(help="Length of the time to choose from.", min=0.1)] = 24.0,
-    scans: Annotated[int, typer.Option(help="Number of scans wanted.", min=1)] = 2,
-    candidates: Annotated[int, typer.Option(help="Scans to choose from.", min=2, max=5000)] = 200,
-    duration_s: Annotated[float, typer.Option(help="Length of a scan.", min=0.1)] = 7.2,
-    rate_mrad_s: Annotated[float, typer.Option(help="Rate, forward and backward in turn.", min=0.01)] = 3.6,
-    v_mag: Annotated[float, typer.Option(help="Faintest star that is measured in a strip.")] = 9.0,
-    sun_deg: Annotated[float, typer.Option(help="Least angle of both cameras to the Sun.", min=0.0)] = 60.0,
-    moon_deg: Annotated[float, typer.Option(help="... to the Moon.", min=0.0)] = 20.0,
-    earth_deg: Annotated[float, typer.Option(help="... above the Earth's limb.", min=0.0)] = 15.0,
-    seed: Annotated[int, typer.Option(help="Seed of the candidates.", min=0)] = 1,
+    *,
+    asked: ScanSettings,
 ) -> Answer:
     """Which scans of the sky tell most about the installation matrix, away from Sun, Moon and Earth.
 
@@ -46,18 +38,6 @@ def sky_strip_plan_command(
     opened = open_dump(dump.resolve())
     with refusing("--utc", "value", "a time such as 2026-11-22T18:00:00Z", found=utc):
         start = opened.orbit.span_s[0] if utc is None else float(opened.epoch.seconds_from_utc([utc])[0])
-    asked = ScanSettings(
-        count=scans,
-        candidates=max(candidates, scans),
-        hours=hours,
-        duration_s=duration_s,
-        rate_mrad_s=rate_mrad_s,
-        v_mag=v_mag,
-        sun_deg=sun_deg,
-        moon_deg=moon_deg,
-        earth_deg=earth_deg,
-        seed=seed,
-    )
     errors = calibration_settings(Settings(), opened.errors, opened.line_camera)
     try:
         with progress_bars() as told:

@@ -12,7 +12,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from boresight.features.sky_images.options import Dark
 from boresight.features.sky_images.score import CentroidScore, score_centroids
+from boresight.pipeline.console.arguments import option
 from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.images.star_images import read_star_image
 from boresight.pipeline.files.text_files import read_text
@@ -20,43 +22,47 @@ from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_figure, write_text
 from boresight.pipeline.report.panels import GREY, SERIES, panels
 from boresight.pipeline.results.limits import Limit, given_limits
+from boresight.records.record import record
 from boresight.star_id.finding.star_list import StarList, list_stars
 from boresight.star_id.settings import StarSettings
 
-__all__ = ["centroid_limits", "draw_score", "score_images", "score_lines"]
+__all__ = ["ScoreRequest", "centroid_limits", "draw_score", "score_images", "score_lines"]
 
 Array = NDArray[np.float64]
 
 
+@record(kw_only=True)
+class ScoreRequest:
+    """What is known of images, and what is written."""
+
+    truth: Path | None = option("CSV with columns x_px, y_px, flux_dn (and file, for several images).")
+    psf_sigma_px: float | None = option("PSF width, if known.", min=0.1, max=1e3)
+    gain: float | None = option("Electrons per DN, if known.", min=1e-9, max=1e9)
+    dark: Dark = None
+    out: Path | None = option("CSV file for all centroids with their errors.")
+    plot: Path | None = option("PNG of error against SNR and bias against phase.")
+
+
 def score_images(
-    images: Sequence[Path],
-    truth: Path | None,
-    settings: StarSettings,
-    *,
-    psf_sigma_px: float | None,
-    gain: float | None,
-    dark: Path | None,
-    out: Path | None,
-    plot: Path | None,
-    say: Callable[[str], None],
+    images: Sequence[Path], asked: ScoreRequest, settings: StarSettings, say: Callable[[str], None]
 ) -> CentroidScore | None:
     """The score of the centroids of images, where `truth` is given.
 
     `say` gets a line for each image, then those of the score.
 
-    Writes the CSV table to `out` and the plot to `plot`. `RawDataError` for a damaged file or unequal sizes.
+    `RawDataError` for a damaged file or unequal sizes.
     """
-    if gain is not None:
-        settings = replace(settings, gain_e_per_dn=gain)
-    true_stars = None if truth is None else _read_truth(truth)
-    dark_image = None if dark is None else read_star_image(dark, str(dark))
+    if asked.gain is not None:
+        settings = replace(settings, gain_e_per_dn=asked.gain)
+    true_stars = None if asked.truth is None else _read_truth(asked.truth)
+    dark = None if asked.dark is None else read_star_image(asked.dark, str(asked.dark))
     lists, truths, tables, top = [], [], [], 255.0
     for path in images:
         image = read_star_image(path, str(path))
-        if dark_image is not None and dark_image.shape != image.shape:
-            shapes = (f"{d.shape[1]} x {d.shape[0]} px" for d in (dark_image, image))
-            raise RawDataError(str(dark), "image size", *shapes)
-        stars = list_stars(image, settings, dark_image)
+        if dark is not None and dark.shape != image.shape:
+            shapes = (f"{d.shape[1]} x {d.shape[0]} px" for d in (dark, image))
+            raise RawDataError(str(asked.dark), "image size", *shapes)
+        stars = list_stars(image, settings, dark)
         whole_numbers = image.dtype.kind == "u"
         top = settings.saturation_dn or (float(np.iinfo(image.dtype).max) if whole_numbers else np.inf)
         tables.append(_table(path, stars))
@@ -67,21 +73,18 @@ def score_images(
         )
         if true_stars is not None:
             lists.append(stars)
-            truths.append(_truth_of(true_stars, path, len(images), str(truth)))
-    if out is not None:
-        whole = pd.concat(tables)
-        write_text(out, table_csv(whole))
+            truths.append(_truth_of(true_stars, path, len(images), str(asked.truth)))
+    if asked.out is not None:
+        write_text(asked.out, table_csv(pd.concat(tables)))
     if true_stars is None:
         return None
-    psf = (
-        None
-        if psf_sigma_px is None
-        else replace(lists[0].psf, sigma_px=psf_sigma_px, sigma_corner_px=psf_sigma_px, smear_px=(0.0, 0.0))
-    )
-    score = score_centroids(lists, truths, saturation_dn=top, psf=psf, gain_e_per_dn=gain)
+    psf = None
+    if (sigma := asked.psf_sigma_px) is not None:
+        psf = replace(lists[0].psf, sigma_px=sigma, sigma_corner_px=sigma, smear_px=(0.0, 0.0))
+    score = score_centroids(lists, truths, saturation_dn=top, psf=psf, gain_e_per_dn=asked.gain)
     say("\n".join(score_lines(score, len(images))))
-    if plot is not None:
-        draw_score(score, plot)
+    if asked.plot is not None:
+        draw_score(score, asked.plot)
     return score
 
 

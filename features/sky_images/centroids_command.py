@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import time
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from boresight.features.sky_images.centroid_report import centroid_limits, score_images
-from boresight.features.sky_images.options import Dark, Images, star_settings
+from boresight.features.sky_images.centroid_report import ScoreRequest, centroid_limits, score_images
+from boresight.features.sky_images.options import Images, star_settings
 from boresight.pipeline.console.arguments import SettingsFile
 from boresight.pipeline.console.limit_options import JunitFile, held
 from boresight.pipeline.console.messages import Answer, tell, wrong_usage
@@ -19,16 +18,8 @@ __all__ = ["centroids_command"]
 
 def centroids_command(
     images: Images,
-    truth: Annotated[
-        Path | None, typer.Option(help="CSV with columns x_px, y_px, flux_dn (and file, for several images).")
-    ] = None,
-    psf_sigma_px: Annotated[float | None, typer.Option(help="PSF width, if known.", min=0.1, max=1e3)] = None,
-    gain: Annotated[float | None, typer.Option(help="Electrons per DN, if known.", min=1e-9, max=1e9)] = None,
-    dark: Dark = None,
-    out: Annotated[Path | None, typer.Option(help="CSV file for all centroids with their errors.")] = None,
-    plot: Annotated[
-        Path | None, typer.Option(help="PNG of error against SNR and bias against phase.")
-    ] = None,
+    *,
+    asked: ScoreRequest,
     max_x_bound: Annotated[
         float | None, typer.Option(help="Limit: rms error over the Cramér-Rao bound, at most.", min=0.0)
     ] = None,
@@ -47,21 +38,11 @@ def centroids_command(
     Example: boresight centroids sky.png --truth stars.csv --max-x-bound 1.1 --min-complete 0.99
     """
     begun_s = time.perf_counter()
-    if truth is None and not (max_x_bound is None and min_complete is None and junit is None):
+    if asked.truth is None and not (max_x_bound is None and min_complete is None and junit is None):
         raise wrong_usage("--max-x-bound, --min-complete and --junit need --truth")
-    if plot is not None and truth is None:
+    if asked.plot is not None and asked.truth is None:
         raise wrong_usage("--plot needs --truth")
-    score = score_images(
-        images,
-        truth,
-        star_settings(settings),
-        psf_sigma_px=psf_sigma_px,
-        gain=gain,
-        dark=dark,
-        out=out,
-        plot=plot,
-        say=tell,
-    )
+    score = score_images(images, asked, star_settings(settings), tell)
     if score is None:
         return Answer()
     return held("centroids", centroid_limits(score, max_x_bound, min_complete, from_snr), junit, begun_s)

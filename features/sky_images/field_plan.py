@@ -9,7 +9,7 @@ in electrons the photon noise of brighter stars follows, too.
 from __future__ import annotations
 
 import math
-from dataclasses import field, replace
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from scipy.spatial.transform import Rotation
 from boresight.features.sky_images.identify_images import read_camera, read_sky_image, sky_index
 from boresight.features.sky_images.sky_plan import SkyPlan, StarImageModel, plan_pointings
 from boresight.geometry.star_camera import StarCamera
+from boresight.pipeline.console.arguments import option
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, LIMIT_MISSED
 from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.text_tables import table_csv
@@ -47,14 +48,16 @@ LIMIT_SNR = 5.5
 class CameraNumbers:
     """The design of a camera; field of view or focal length, and pitch with the latter."""
 
-    size_px: tuple[int, int] | None = None  # columns, rows
+    size_px: tuple[int, int] | None = option(
+        "Without image: columns and rows of the detector.", None, "--size", metavar="COLUMNS ROWS"
+    )
     fov_deg: float | None = None  # along the columns' direction
-    focal_mm: float | None = None
-    pitch_um: float | None = None
-    limit_mag: float | None = None  # V of a star of SNR 5.5
-    psf_sigma_px: float = 1.0
-    noise_e: float = 10.0  # of one pixel: read noise and sky
-    full_e: float = math.inf  # electrons that fill a pixel
+    focal_mm: float | None = option("Without image, in place of --fov: focal length, mm.", min=1e-3)
+    pixel_um: float | None = option("With --focal-mm: pitch of the pixels, micrometres.", min=1e-3)
+    limit_mag: float | None = option(f"Without image: magnitude V of stars of SNR {LIMIT_SNR:g}.")
+    psf_sigma_px: float = option("Without image: 1-sigma width of the stars, px.", 1.0, min=0.2, max=20.0)
+    noise_e: float = option("Without image: noise of a pixel (read noise, sky), electrons.", 10.0, min=0.1)
+    full_e: float | None = option("Without image: electrons that fill a pixel.", min=1.0)
 
 
 def camera_of_numbers(numbers: CameraNumbers, given: StarCamera | None) -> StarCamera:
@@ -63,7 +66,7 @@ def camera_of_numbers(numbers: CameraNumbers, given: StarCamera | None) -> StarC
     `RawDataError` names the option that is missing, superfluous or out of range.
     """
     if given is not None:
-        if numbers.size_px or numbers.focal_mm or numbers.pitch_um or numbers.fov_deg:
+        if numbers.size_px or numbers.focal_mm or numbers.pixel_um or numbers.fov_deg:
             raise RawDataError("--camera", "and --size, --fov, --focal-mm", "both", "one of them")
         return given
     if numbers.size_px is None:
@@ -75,19 +78,19 @@ def camera_of_numbers(numbers: CameraNumbers, given: StarCamera | None) -> StarC
     if (numbers.fov_deg is None) == (numbers.focal_mm is None):
         found = "both" if numbers.fov_deg is not None else "neither"
         raise RawDataError("--fov and --focal-mm", "options", found, "one of them")
-    if numbers.pitch_um is not None and numbers.focal_mm is None:
+    if numbers.pixel_um is not None and numbers.focal_mm is None:
         raise RawDataError("--pixel-um", "option", "with --fov", "with --focal-mm only")
     if numbers.fov_deg is not None:
         if not 0.5 < numbers.fov_deg < 90.0:
             raise RawDataError("--fov", "value", f"{numbers.fov_deg}", "between 0.5 and 90 degrees")
         return nominal_camera(numbers.size_px, math.radians(numbers.fov_deg))
     assert numbers.focal_mm is not None
-    if numbers.pitch_um is None:
+    if numbers.pixel_um is None:
         raise RawDataError("--pixel-um", "value", "nothing", "the pitch of the pixels, beside --focal-mm")
     width, height = numbers.size_px
     return StarCamera(
         focal_m=1e-3 * numbers.focal_mm,
-        pixel_m=1e-6 * numbers.pitch_um,
+        pixel_m=1e-6 * numbers.pixel_um,
         width_px=width,
         height_px=height,
         principal_px=(0.5 * (width - 1), 0.5 * (height - 1)),
@@ -109,7 +112,7 @@ def images_of_numbers(numbers: CameraNumbers, camera: StarCamera) -> StarImageMo
         psf=Psf(sigma, sigma, (0.0, 0.0), camera.width_px, camera.height_px),
         noise_dn=numbers.noise_e,
         gain_e_per_dn=1.0,
-        full_dn=numbers.full_e,
+        full_dn=math.inf if numbers.full_e is None else numbers.full_e,
         flux_of_v0_dn=faintest * 10.0 ** (0.4 * numbers.limit_mag),
         faintest_dn=faintest,
     )
@@ -126,17 +129,17 @@ class SkyPlanRequest:
 
     camera_file: Path | None = None
     fov_deg: float | None = None
-    numbers: CameraNumbers = field(
-        default_factory=CameraNumbers
-    )  # of a camera without image; its fov_deg is that above
-    frames: int = 10
-    wanted_px: float | None = None  # largest error of the model that is enough
-    candidates: int = 500
-    utc: str | None = None  # of the campaign: keeps the Sun away
-    sun_deg: float = 60.0
-    seed: int = 1
-    out: Path | None = None  # CSV
-    plot: Path | None = None  # PNG
+    numbers: CameraNumbers = CameraNumbers()  # of a camera without image; its fov_deg is that above
+    frames: int = option("Images that are to be taken.", 10, min=1, max=200)
+    candidates: int = option("Random pointings to choose from.", 500, min=1, max=20_000)
+    wanted_px: float | None = option(
+        "Largest error of the model that is enough: exit status 4 if missed.", min=1e-6
+    )
+    utc: str | None = option("When: keeps away from the Sun.")
+    sun_deg: float = option("Least angle between the image's middle and the Sun.", 60.0, min=0.0, max=180.0)
+    seed: int = option("Of the random pointings.", 1, min=0)
+    out: Path | None = option("CSV file of the pointings.")
+    plot: Path | None = option("PNG: the fields, and what will be known.")
 
 
 def plan_sky(path: Path | None, request: SkyPlanRequest, settings: StarSettings) -> tuple[list[str], int]:

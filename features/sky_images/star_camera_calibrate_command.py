@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -29,17 +30,11 @@ def star_camera_calibrate_command(
     ],
     camera: CameraFile = None,
     fov: Fov = None,
-    out: Annotated[Path, typer.Option(help="The calibrated star_camera.toml.")] = Path("star_camera.toml"),
-    report: Annotated[
-        Path | None, typer.Option(help="JSON file: covariance, OpenCV form, residual map, stars used.")
-    ] = None,
-    plot: Annotated[Path | None, typer.Option(help="PNG of the residual map.")] = None,
+    *,
+    request: CameraRequest,
     times: Times = None,
     orbit: OrbitFile = None,
     site: Site = None,
-    drift: Annotated[
-        bool, typer.Option("--drift", help="Fit a drift of the focal length with time as well.")
-    ] = False,
     settings: SettingsFile = None,
 ) -> Answer:
     """Calibrate a star camera from images of the sky: focal length, principal point, distortion.
@@ -48,15 +43,8 @@ def star_camera_calibrate_command(
     """
     if camera is not None and fov is not None:
         raise wrong_usage("--camera and --fov exclude one another")
-    request = CameraRequest(
-        camera_file=camera,
-        fov_deg=fov,
-        known=Whereabouts(times, orbit, site),
-        drift=drift,
-        out=out,
-        report=report,
-        plot=plot,
-    )
+    known = Whereabouts(times, orbit, site)
+    request = replace(request, camera_file=camera, fov_deg=fov, known=known)
     with progress_bars() as told:
         lines, done = calibrate_from_images(sources, request, star_settings(settings), told)
     return Answer(text="\n".join(lines), exit_status=DONE if done else DATA_DID_NOT_ALLOW)

@@ -23,6 +23,7 @@ from boresight.features.sky_images.identify_images import (
 )
 from boresight.features.sky_images.image_time import NOWHERE, Whereabouts
 from boresight.geometry.star_camera import StarCamera
+from boresight.pipeline.console.arguments import option
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.whole_file import write_figure, write_text
@@ -58,10 +59,10 @@ class CameraRequest:
     camera_file: Path | None = scalar("TOML file of an approximate camera", default=None)
     fov_deg: float | None = scalar("horizontal field of view, degrees", default=None)
     known: Whereabouts = scalar("times and sites of the images", default=NOWHERE)
-    drift: bool = scalar("estimate a linear drift of the focal length", default=False)
-    out: Path = scalar("calibrated camera, TOML", default=Path("star_camera.toml"))
-    report: Path | None = scalar("report, JSON", default=None)
-    plot: Path | None = scalar("residual map, PNG", default=None)
+    drift: bool = option("Fit a drift of the focal length with time as well.", False, "--drift")
+    out: Path = option("The calibrated star_camera.toml.", Path("star_camera.toml"))
+    report: Path | None = option("JSON file: covariance, OpenCV form, residual map, stars used.")
+    plot: Path | None = option("PNG of the residual map.")
 
 
 def calibrate_from_images(

@@ -297,7 +297,7 @@ class StripView:
             float(np.linalg.norm(ends[1] - ends[0])) / (camera.n_px(ccds[0]) - 1.0),
             float(np.linalg.norm(rows[1] - rows[0])),
             float(np.linalg.norm(ends[:, None] - ends, axis=2).max()),
-            float(geodetic_from_ecef(at, WGS84)[2][0]),
+            float(geodetic_from_ecef(at)[2][0]),
             float(np.arccos(np.clip(looks @ looks.T, -1.0, 1.0)).max()),
         )
 
@@ -377,7 +377,7 @@ def _target(
     missed: Sequence[tuple[Floats, float, Bools, float]],
     contradicts: str,
 ) -> TargetCheck:
-    lat, lon, _ = geodetic_from_ecef(target.p_e[None], WGS84)
+    lat, lon, _ = geodetic_from_ecef(target.p_e[None])
     distances = [float(np.hypot(*outside[n])) for outside, *_ in missed]
     seen = tuple(name for name, (_, _, shown, _) in zip(names, missed) if shown[n])
     best = int(np.argmin(distances)) if distances and not seen else -1

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from pathlib import Path
 
+from boresight.pipeline.console.arguments import option
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.whole_file import is_vacant
-from boresight.records.record import record, scalar
+from boresight.records.record import record
 
 __all__ = ["Skeleton", "write_skeleton"]
 
@@ -126,18 +128,18 @@ POINTS = f"id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,{PLACE}\n"
 class Skeleton:
     """What is known of a mission before its dump is written."""
 
-    mission: str = scalar("name")
-    star_focal_mm: float = scalar("focal length of the star camera, mm")
-    star_pixel_um: float = scalar("its pixel pitch, µm")
-    star_width_px: int = scalar("its columns")
-    star_height_px: int = scalar("its rows")
-    focal_m: float = scalar("focal length of the remote-sensing camera, m")
-    pixel_um: float = scalar("its pixel pitch, µm")
-    ccds: int = scalar("its CCDs, side by side")
-    ccd_px: int = scalar("samples of each")
-    bit_depth: int = scalar("bits of a count of both cameras")
-    position_m: float = scalar("1-sigma of the orbit, m")
-    clock_s: float = scalar("1-sigma of the strips' times, s")
+    mission: str = option("Name of the mission.", "my mission")
+    star_focal_mm: float = option("Star camera: focal length.", 100.0, min=1.0)
+    star_pixel_um: float = option("Star camera: pixel pitch.", 6.4, min=0.1)
+    star_width_px: int = option("Star camera: columns.", 5120, min=16)
+    star_height_px: int = option("Star camera: rows.", 3840, min=16)
+    focal_m: float = option("Remote-sensing camera: focal length.", 10.0, min=1e-3)
+    pixel_um: float = option("Remote-sensing camera: pixel pitch.", 10.0, min=0.1)
+    ccds: int = option("Remote-sensing camera: CCDs.", 1, min=1, max=64)
+    ccd_px: int = option("Remote-sensing camera: samples of a CCD.", 6144, min=16)
+    bit_depth: int = option("Bits of a count of both.", 8, min=8, max=16)
+    position_m: float = option("1-sigma of the orbit.", 2.0, min=0.0)
+    clock_s: float = option("1-sigma of the strips' times.", 1e-4, min=0.0)
 
 
 def write_skeleton(
@@ -151,7 +153,7 @@ def write_skeleton(
     """
     if not is_vacant(folder):
         raise RawDataError(str(folder), "folder", "not empty", "a new or empty folder")
-    values = {name: getattr(known, name) for name in Skeleton.__annotations__}
+    values = asdict(known)
     values["mission"] = known.mission.replace("\\", " ").replace('"', "'")
     middle = {"x0": 0.5 * (known.star_width_px - 1), "y0": 0.5 * (known.star_height_px - 1)}
     length_mm, first_mm = known.ccd_px * known.pixel_um * 1e-3, 0.5 * known.pixel_um * 1e-3

@@ -7,11 +7,17 @@ may name files of stores only.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from boresight.features.targets.ortho_files import RasterFile, open_raster
+import typer
+from rasterio.errors import RasterioError
+
+from boresight.features.targets.ortho_files import RasterFile, band_count, open_raster
+from boresight.pipeline.console.arguments import option
+from boresight.pipeline.console.completion import first_argument
 from boresight.pipeline.errors import RawDataError, WorkerError
 from boresight.pipeline.files.content import content_of
 from boresight.pipeline.files.object_store import OF_GDAL, StoredPath, dump_folder, is_address
@@ -27,17 +33,28 @@ CLOUD_ASSETS = {"scl": ((0, 1, 3, 8, 9, 10), 0), "qa_pixel": ((), 0b11111)}
 CLOUD_WORDS = ("cloud", "cirrus", "shadow", "no_data", "nodata", "saturated")  # in names of classes
 
 
+def _bands_of(context: typer.Context, incomplete: str) -> list[str]:
+    """Bands of the first image that is named."""
+    count = 0
+    if ortho := first_argument(context, "orthos"):
+        with suppress(RawDataError, RasterioError, OSError):
+            count = band_count(Path(ortho))
+    return [str(n) for n in range(1, count + 1) if str(n).startswith(incomplete)]
+
+
 @record(kw_only=True)
 class StacQuery:
     """Which items of a catalogue are wanted, and which of their images."""
 
-    source: Path = scalar("a folder or file of a catalogue, or an address")
-    asset: str | None = scalar("name of the image; None: `visual`, or the first one of data", default=None)
-    bbox: tuple[float, float, float, float] | None = scalar("west, south, east, north, degrees", default=None)
-    days: str = scalar(
-        "first and last day as ISO 8601, `2019-01-01/2020-12-31`, either may be empty", default=""
+    source: Path = scalar("a folder or file of a catalogue, or an address", default=Path())
+    asset: str | None = option("Asset of the catalogue's items; default: visual.")
+    bbox: tuple[float, float, float, float] | None = option(
+        "Only items of the catalogue within these degrees.", metavar="W S E N"
     )
-    band: int | None = scalar("band of the image, from 1", default=None)
+    days: str = option("Only items from first to last day: 2019-04-01/2020-09-30.", "")
+    band: int | None = option(
+        "Band of the images; default: the mean of the first three.", min=1, autocompletion=_bands_of
+    )
 
 
 def stac_images(query: StacQuery) -> tuple[list[RasterFile], list[str]]:

@@ -29,6 +29,7 @@ from boresight.gct_match.locate import locate_template
 from boresight.gct_match.records import Image, Target
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic
+from boresight.pipeline.console.arguments import option
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.dump_schema import GroundReferenceFile
@@ -68,10 +69,10 @@ TARGET_COLUMNS = "id lat_deg lon_deg height_m height_kind sigma_east_m sigma_nor
 class SuggestRequest:
     """What is wanted."""
 
-    size_px: int = scalar("side of a chip, pixels of its image")
-    most: int = scalar("number of targets")
-    sigma_m: float = scalar("1-sigma of the images' georeferencing, each coordinate")
-    sigma_up_m: float = scalar("1-sigma of the heights")
+    size_px: int = option("Side of a chip, in pixels of its image.", 256, min=32)
+    most: int = option("So many targets at most.", 40, min=1)
+    sigma_m: float = option("1-sigma of the images' georeferencing.", 1.0, min=0.0)
+    sigma_up_m: float = option("1-sigma of the heights.", 2.0, min=0.0)
 
 
 @record
@@ -291,7 +292,7 @@ def _of_tile(
     x, y = np.array([[one.x, one.y] for one in places]).reshape(-1, 2).T
     lon, lat = map_to_map(ortho.crs, DEGREES).transform(x, y)
     height, kind = heights.stated(lat, lon)
-    p_e = ecef_from_geodetic(np.radians(lat), np.radians(lon), heights.ellipsoidal(lat, lon), WGS84)
+    p_e = ecef_from_geodetic(np.radians(lat), np.radians(lon), heights.ellipsoidal(lat, lon))
     kept = set(np.flatnonzero(np.isfinite(height)).tolist())
     others, again = np.zeros(len(places), dtype=int), defaultdict[int, list[Again]](list)
     for k, other in enumerate(orthos if kept else ()):

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 from pydantic import ValidationError
-from rasterio.errors import RasterioError
 
-from boresight.features.targets.ortho_files import HeightModel, band_count, open_raster, read_heights
+from boresight.features.targets.ortho_files import HeightModel, open_raster, read_heights
 from boresight.features.targets.stac_items import StacQuery, stac_images
 from boresight.features.targets.suggestions import SuggestRequest, suggest_in, suggestion_lines, write_targets
 from boresight.geometry.terrain import ConstantHeight
-from boresight.pipeline.console.completion import first_argument
 from boresight.pipeline.console.messages import Answer, say, wrong_usage
-from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.object_store import dump_folder
 from boresight.pipeline.run.settings import read_settings
@@ -38,14 +35,6 @@ def targets_suggest_command(
         Path | None,
         typer.Option(metavar="PATH", parser=dump_folder, help="A STAC catalogue or API, for its images."),
     ] = None,
-    asset: Annotated[
-        str | None, typer.Option(help="Asset of the catalogue's items; default: visual.")
-    ] = None,
-    bbox: Annotated[
-        tuple[float, float, float, float] | None,
-        typer.Option(metavar="W S E N", help="Only items of the catalogue within these degrees."),
-    ] = None,
-    days: Annotated[str, typer.Option(help="Only items from first to last day: 2019-04-01/2020-09-30.")] = "",
     dem: Annotated[
         list[Path] | None, typer.Option(parser=dump_folder, help="Height model. May be repeated.")
     ] = None,
@@ -63,16 +52,9 @@ def targets_suggest_command(
             help="Only what its strips will show, spread for the best forecast.",
         ),
     ] = None,
-    size_px: Annotated[int, typer.Option(help="Side of a chip, in pixels of its image.", min=32)] = 256,
-    most: Annotated[int, typer.Option(help="So many targets at most.", min=1)] = 40,
-    band: Annotated[
-        int | None,
-        typer.Option(
-            help="Band of the images; default: the mean of the first three.", min=1, autocompletion=_bands_of
-        ),
-    ] = None,
-    sigma_m: Annotated[float, typer.Option(help="1-sigma of the images' georeferencing.", min=0.0)] = 1.0,
-    sigma_up_m: Annotated[float, typer.Option(help="1-sigma of the heights.", min=0.0)] = 2.0,
+    *,
+    request: SuggestRequest,
+    query: StacQuery,
     offset_m: Annotated[
         float | None,
         typer.Option(help="1-sigma of an offset east, north that all these images share.", min=0.0),
@@ -92,11 +74,10 @@ def targets_suggest_command(
     if bool(orthos) == (stac is not None):
         raise wrong_usage("give ortho-images or a catalogue by --stac, one of them")
     opened = None if dump is None else open_dump(dump)
-    request = SuggestRequest(size_px=size_px, most=most, sigma_m=sigma_m, sigma_up_m=sigma_up_m)
     if stac is None:
-        images = [open_raster(path, band) for path in orthos or ()]
+        images = [open_raster(path, query.band) for path in orthos or ()]
     else:
-        images, unused = stac_images(StacQuery(source=stac, asset=asset, bbox=bbox, days=days, band=band))
+        images, unused = stac_images(replace(query, source=stac))
         for line in unused:
             say(f"not used: {line}")
     found = suggest_in(images, model, request, opened, read_settings(settings))
@@ -104,17 +85,8 @@ def targets_suggest_command(
         references = found.references(reference, offset_m, offset_up_m)
     except ValidationError as error:
         raise wrong_usage("--reference is an id, --offset-m and --offset-up-m are at most 10 km") from error
-    table = write_targets(found.targets, out, size_px, references)
+    table = write_targets(found.targets, out, request.size_px, references)
     lines = [*suggestion_lines(found), f"{len(found.targets)} targets -> {table}"]
     if references:
         lines.append(f"references -> {out / 'ground_references.toml'}: add them to dump.toml")
     return Answer(text="\n".join(lines), files=(table,))
-
-
-def _bands_of(context: typer.Context, incomplete: str) -> list[str]:
-    """Bands of the first image that is named."""
-    count = 0
-    if ortho := first_argument(context, "orthos"):
-        with suppress(RawDataError, RasterioError, OSError):
-            count = band_count(Path(ortho))
-    return [str(n) for n in range(1, count + 1) if str(n).startswith(incomplete)]

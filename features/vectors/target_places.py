@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from boresight.accepted import column_of, label_of, number_of, of_argument, rows_of, utc_of, wrong
-from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, local_axes_e, unit_vectors
 from boresight.geometry.geoid import egm96
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
@@ -76,7 +75,7 @@ def seen_places(table: Any, name: str, orbit: Orbit) -> SeenPlaces:
     t_s = orbit.epoch.seconds_from_utc(times)
     if np.ptp(t_s) > ONE_INSTANT_S:
         raise wrong(f"{name}, time", f"instants {np.ptp(t_s):.3g} s apart", "one: a frame has one attitude")
-    p_e = ecef_from_geodetic(lat, lon, height_m, WGS84)
+    p_e = ecef_from_geodetic(lat, lon, height_m)
     try:
         u_i, range_m = apparent_ground_directions(p_e, t_s, orbit, orbit.earth, LightEffects())
     except ValueError as error:  # not covered by the orbit

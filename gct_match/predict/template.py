@@ -19,7 +19,6 @@ from boresight.gct_match.imaging.resample import sample
 from boresight.gct_match.records import Chip, Image
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.attitude import interpolation_weights
-from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.line_camera import gaussian_sigma_px
 from boresight.geometry.pushbroom import Pushbroom
@@ -112,7 +111,7 @@ def chip_points(chip: Chip, p_e: Floats) -> Floats:
     """(N, 2) points (column, row) of the chip, (0, 0) at the centre of its first pixel, that show the ground
     points p_e (N, 3), ITRS in m.
     """
-    lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
+    lat, lon, _ = geodetic_from_ecef(p_e)
     east, north = _to_map(chip.crs).transform(np.degrees(lon), np.degrees(lat))
     a, b, c, d, e, f = chip.transform
     inverse = np.linalg.inv(np.array([[a, b], [d, e]]))

@@ -1,9 +1,10 @@
-"""Arguments and options of several commands."""
+"""Arguments and options of several commands, and of records whose fields are options."""
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -20,7 +21,17 @@ __all__ = [
     "ResultArgument",
     "SettingsFile",
     "StaleEop",
+    "option",
 ]
+
+
+def option(help_text: str, default: Any = None, *names: str, **how: Any) -> Any:
+    """A field of a record that is an option of the command that takes the record: `names` (or its own name),
+    and what `typer.Option` accepts.
+    """
+    stated = {"meaning": help_text, "option": typer.Option(*names, help=help_text, **how)}
+    return dataclasses.field(default=default, metadata=stated)
+
 
 AboutFile = Annotated[
     Path | None,

@@ -6,6 +6,7 @@ the answer has content for programs, --json; prints the answer; and turns its ex
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import inspect
 import logging
@@ -20,7 +21,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any, get_origin, get_type_hints
 
 import typer
 
@@ -92,7 +93,12 @@ Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout in
 def with_messages(
     command: Callable[..., Answer | None], name: str, *, with_json: bool = False
 ) -> Callable[..., None]:
-    """`command`, called `name` on the command line, with the options of messages; its answer is printed."""
+    """`command`, called `name` on the command line, with the options of messages; its answer is printed.
+
+    A parameter that is a record stands for its fields that are options (`console.arguments.option`).
+    """
+    hints = get_type_hints(command, include_extras=True) | {"return": None}
+    records: dict[str, Any] = {one: kind for one, kind in hints.items() if dataclasses.is_dataclass(kind)}
 
     @functools.wraps(command)
     def run_and_print(
@@ -106,7 +112,8 @@ def with_messages(
         begun_s = time.perf_counter()
         with _messages(verbose, quiet, log_file, as_json):
             try:
-                answer = command(*arguments, **named) or Answer()
+                made = {one: _made(kind, named) for one, kind in records.items()}
+                answer = command(*arguments, **named, **made) or Answer()
             except KeyboardInterrupt:
                 log.error("interrupted")
                 raise typer.Exit(INTERRUPTED) from None
@@ -121,19 +128,37 @@ def with_messages(
         if answer.exit_status:
             raise typer.Exit(answer.exit_status)
 
-    hints = get_type_hints(command, include_extras=True) | {"return": None}
     options: dict[str, Any] = {"verbose": Verbose, "quiet": Quiet, "log_file": LogFile}
     options |= {"as_json": Json} if with_json else {}
-    own = inspect.signature(command).parameters.values()
-    parameters = [one.replace(annotation=hints[one.name]) for one in own]
+    parameters = list[inspect.Parameter]()
+    for one in inspect.signature(command).parameters.values():
+        own = one.replace(annotation=hints[one.name], kind=inspect.Parameter.KEYWORD_ONLY)
+        parameters += _options_of(records[one.name]) if one.name in records else [own]
     for option, kind in options.items():
         default = None if option == "log_file" else False
         by_name = inspect.Parameter.KEYWORD_ONLY
         parameters.append(inspect.Parameter(option, by_name, default=default, annotation=kind))
     run_and_print.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    run_and_print.__annotations__ = hints | options
+    run_and_print.__annotations__ = {one.name: one.annotation for one in parameters}
     run_and_print.__doc__ = _with_example(inspect.getdoc(command) or "")
     return run_and_print
+
+
+def _options_of(kind: Any) -> list[inspect.Parameter]:
+    """The fields of a record that are options of a command, as its parameters."""
+    hints, by_name = get_type_hints(kind, include_extras=True), inspect.Parameter.KEYWORD_ONLY
+    found = []
+    for one in dataclasses.fields(kind):
+        option, hint = one.metadata.get("option"), hints[one.name]
+        if option is not None or get_origin(hint) is Annotated:
+            annotation = hint if option is None else Annotated[hint, option]
+            found.append(inspect.Parameter(one.name, by_name, default=one.default, annotation=annotation))
+    return found
+
+
+def _made(kind: Any, named: dict[str, Any]) -> Any:
+    """The record of options, which are taken from the arguments `named`."""
+    return kind(**{one.name: named.pop(one.name) for one in _options_of(kind)})
 
 
 def _with_example(text: str) -> str:

@@ -12,7 +12,6 @@ from itertools import pairwise
 import numpy as np
 
 from boresight.gct_match.records import Target
-from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.ground_points import ChipFile
@@ -67,7 +66,7 @@ def contradiction(target: Target, chip: ChipFile, others: Sequence[ChipFile]) ->
     targets.
     """
     place = _place(chip)
-    lat, lon, _ = np.degrees(geodetic_from_ecef(target.p_e[None], WGS84))
+    lat, lon, _ = np.degrees(geodetic_from_ecef(target.p_e[None]))
     here = np.column_stack([lat, lon])
     if place is None or place.contains(here)[0]:
         return "", ""
@@ -78,7 +77,7 @@ def contradiction(target: Target, chip: ChipFile, others: Sequence[ChipFile]) ->
             text = f"not in {chip.file} but in {other.file}, the chip of {other.target_id}: correct the files"
             return text, ""
     lat, lon = np.radians(np.vstack([here, place.middle_deg])).T
-    one, other = ecef_from_geodetic(lat, lon, np.zeros(2), WGS84)
+    one, other = ecef_from_geodetic(lat, lon, np.zeros(2))
     apart_km = 1e-3 * float(np.linalg.norm(one - other))
     return f"{apart_km:.3g} km from the middle of its chip; correct its coordinates or chip", ""
 
@@ -88,9 +87,9 @@ def off_middle_m(target: Target, chip: ChipFile) -> tuple[float, float]:
     if (place := _place(chip)) is None:
         return np.nan, np.nan
     lat, lon = np.radians(np.array([place.middle_deg], dtype=float)).T
-    lat_target, lon_target, _ = geodetic_from_ecef(target.p_e[None], WGS84)
-    there = ecef_from_geodetic(lat, lon, np.zeros(1), WGS84)
-    here = ecef_from_geodetic(lat_target, lon_target, np.zeros(1), WGS84)
+    lat_target, lon_target, _ = geodetic_from_ecef(target.p_e[None])
+    there = ecef_from_geodetic(lat, lon, np.zeros(1))
+    here = ecef_from_geodetic(lat_target, lon_target, np.zeros(1))
     east_m, north_m = (local_axes_e(lat, lon)[0].T @ (here - there)[0])[:2].tolist()
     return east_m, north_m
 

@@ -28,7 +28,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import AttitudeTrack, EarthFixedAttitude
-from boresight.geometry.constants import DAY_S, WGS84
+from boresight.geometry.constants import DAY_S
 from boresight.geometry.earth_orientation import EarthOrientationTable, bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
@@ -182,7 +182,7 @@ def _check_corners(root: Element, pushbroom: Pushbroom, size: tuple[int, int], f
             continue
         low, high = (
             pushbroom.ground_points(0, [column - 1.0], [row - 1.0], ConstantHeight(height))[0]
-            - ecef_from_geodetic(np.radians(lat), np.radians(lon), height, WGS84)
+            - ecef_from_geodetic(np.radians(lat), np.radians(lon), height)
             for height in _CORNER_HEIGHTS_M
         )
         step = high - low

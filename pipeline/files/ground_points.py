@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 from boresight.gct_match.records import GroundReference, Target
-from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.geometry.geoid import egm96
 from boresight.pipeline.errors import RawDataError
@@ -150,7 +149,7 @@ def _surveyed(
     orthometric = np.array([row.height_kind == "egm96" for row in rows], dtype=bool)
     if orthometric.any():
         height[orthometric] += egm96().undulation_m(lat[orthometric], lon[orthometric])
-    p_e = ecef_from_geodetic(lat, lon, height, WGS84)
+    p_e = ecef_from_geodetic(lat, lon, height)
     targets = tuple(
         Target(
             row.id,

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import datetime
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Literal
-from xml.etree.ElementTree import Element
 
 import erfa
 import numpy as np
@@ -18,9 +17,8 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.earth_rotation import FrameOfDate, InertialFrame, of_date_to_gcrs, rotation_to_gcrs
 from boresight.geometry.epoch import GPS_MINUS_TAI_S, TT_MINUS_TAI_S, Epoch
 from boresight.pipeline.errors import RawDataError, refusing
+from boresight.pipeline.files.ccsds_messages import HEADER, OUTSIDE, Block, MessageKind, message_blocks
 from boresight.pipeline.files.text_files import NUMBER, PLAIN_NUMBER, read_message
-from boresight.pipeline.files.xml_files import elements_of, numbers_of, xml_root
-from boresight.pipeline.files.xml_files import text_of as element_text
 from boresight.records.record import Floats, RowRecord, array, record, scalar
 
 __all__ = [
@@ -53,15 +51,30 @@ SAME_FRAME = {"J2000": "EME2000"}  # other names of them in messages, as in the 
 AHEAD_OF_GPS_S = {"GPS": 0.0, "TAI": -GPS_MINUS_TAI_S, "TT": TT_MINUS_TAI_S - GPS_MINUS_TAI_S}
 LIMIT_KM = 1e9  # of a coordinate and of a velocity in km/s, far beyond those of any orbit
 EXPECTED = "an OEM that follows CCSDS 502.0-B"  # what messages say was expected
-MAX_SEGMENTS = 10_000  # of a message: far more than an operator's has
-VERSIONS = ("1.0", "2.0", "3.0")  # values of CCSDS_OEM_VERS that are read
-# Keywords of CCSDS 502.0-B-3, tables 5-2 and 5-3: the required ones, then those that may be there.
-HEADER = ("CCSDS_OEM_VERS", "CREATION_DATE", "ORIGINATOR"), ("CLASSIFICATION", "MESSAGE_ID")
-METADATA = (
-    ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME", "REF_FRAME", "TIME_SYSTEM", "START_TIME", "STOP_TIME"),
-    ("REF_FRAME_EPOCH", "USEABLE_START_TIME", "USEABLE_STOP_TIME", "INTERPOLATION", "INTERPOLATION_DEGREE"),
+# An OEM: the keywords of CCSDS 502.0-B-3, tables 5-2 and 5-3.
+OEM = MessageKind(
+    name="OEM",
+    versions=("1.0", "2.0", "3.0"),
+    standard="CCSDS 502.0-B",
+    required={
+        HEADER: ("CCSDS_OEM_VERS", "CREATION_DATE", "ORIGINATOR"),
+        "META": (
+            *("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME", "REF_FRAME", "TIME_SYSTEM", "START_TIME"),
+            "STOP_TIME",
+        ),
+    },
+    optional={
+        HEADER: ("CLASSIFICATION", "MESSAGE_ID"),
+        "META": (
+            *("REF_FRAME_EPOCH", "USEABLE_START_TIME", "USEABLE_STOP_TIME", "INTERPOLATION"),
+            "INTERPOLATION_DEGREE",
+        ),
+        OUTSIDE: (),
+    },
+    rows={OUTSIDE: ("", "stateVector")},
+    unused=("COVARIANCE",),
 )
-_KEYWORD = re.compile(r"([A-Z_]+)\s*=\s*(\S.*)")  # a line KEYWORD = value
+_OF_TIMES = re.compile(r"TIME|(DATE|EPOCH)$")  # in keywords whose values are times
 # A time, ISO 8601 with a date or a day of the year (CCSDS 301.0-B, codes A and B).
 _STAMP = re.compile(r"(\d{4})-(?:\d\d-\d\d|(\d{3}))(T\d\d:\d\d:\d\d(?:\.\d+)?)Z?", re.ASCII)
 _CALENDAR_STAMP = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(?:\.\d+)?", re.ASCII)  # nearly all
@@ -102,9 +115,18 @@ def read_oem(path: Path, file: str) -> Ephemeris:
 
 
 def read_segments(path: Path, file: str) -> tuple[Ephemeris, ...]:
-    """The segments of an OEM, in the order of the file and with one epoch; otherwise as `read_oem`."""
-    text = read_message(path, file)
-    read = (_of_xml if text.lstrip().startswith("<") else _of_lines)(text, file)
+    """The segments of an OEM, in the order of the file and with one epoch; otherwise as `read_oem`.
+
+    Raises `RawDataError`, also for segments of several objects.
+    """
+    _, (header, *blocks) = message_blocks(read_message(path, file), file, OEM)
+    _dated(header, file)
+    if not [block for block in blocks if block.name == "META"]:
+        raise RawDataError(file, "META_START", "nothing", EXPECTED)
+    read = [_part(_dated(a, file), b, file) for a, b in pairwise(blocks) if a.name == "META"]
+    for a, b in pairwise([header, *blocks]):
+        if b.name == OUTSIDE and b.rows and a.name != "META":
+            raise RawDataError(file, b.at(0), str(b.rows[0]), f"META_START, or no line after {a.name}_STOP")
     for meta, *_ in read[1:]:
         first, other = read[0][0].values["OBJECT_ID"], meta.values["OBJECT_ID"]
         if other != first:
@@ -132,21 +154,10 @@ def joined_segments(segments: Sequence[Ephemeris]) -> Ephemeris | None:
     return replace(Ephemeris.together(segments), last_time=segments[-1].last_time, begins=begins)
 
 
-@record(by_value=True)
-class _Keywords:
-    """Values by keyword, and how errors name the keyword: "line 9, REF_FRAME", in XML "REF_FRAME"."""
-
-    values: dict[str, str]
-    fields: dict[str, str]
-
-    def error(self, key: str, found: str, expected: str, file: str) -> RawDataError:
-        return RawDataError(file, self.fields.get(key, key), found, expected)
+Part = tuple[Block, list[str], Floats]  # metadata of a segment, times, values (N, 6)
 
 
-Part = tuple[_Keywords, list[str], Floats]  # metadata of a segment, times, values (N, 6)
-
-
-def _ephemeris(meta: _Keywords, times: list[str], values: Floats, file: str) -> Ephemeris:
+def _ephemeris(meta: Block, times: list[str], values: Floats, file: str) -> Ephemeris:
     """The checked states, SI units, in GCRF or ITRF, of values (N, 6) in km and km/s."""
     check_components(values, file)
     if not times:
@@ -175,130 +186,42 @@ def _ephemeris(meta: _Keywords, times: list[str], values: Floats, file: str) -> 
     )
 
 
-def _of_lines(text: str, file: str) -> list[Part]:
-    """Metadata, times and values (N, 6) of each segment of the keyword = value form."""
-    rows = [(number, given.strip()) for number, given in enumerate(text.splitlines(), start=1)]
-    rows = [(number, line) for number, line in rows if line and not line.startswith("COMMENT")]
-    if not rows or not rows[0][1].startswith("CCSDS_OEM_VERS"):
-        number, line = rows[0] if rows else (1, "nothing")
-        raise RawDataError(file, f"line {number}", line[:64], "CCSDS_OEM_VERS = ..., or an OEM in XML")
-    begins = [n for n, (_, line) in enumerate(rows) if line == "META_START"]
-    if not begins:
-        raise RawDataError(file, "META_START", "nothing", EXPECTED)
-    _keywords([_pair(number, line, file) for number, line in rows[: begins[0]]], HEADER, file)
-    return [_of_block(rows[begin:end], file) for begin, end in zip(begins, [*begins[1:], len(rows)])]
+def _dated(block: Block, file: str) -> Block:
+    """A block whose times are calendar dates."""
+    keys = [key for key in block.values if key != "TIME_SYSTEM" and _OF_TIMES.search(key)]
+    dates = {key: calendar_date(block.values[key], file, block.fields[key]) for key in keys}
+    return replace(block, values=block.values | dates)
 
 
-def _of_block(rows: list[tuple[int, str]], file: str) -> Part:
-    """The part of a segment's lines, with their numbers, from META_START on."""
-    numbers, lines = [number for number, _ in rows], [line for _, line in rows]
-    if lines.count("META_STOP") != 1:
-        found = f"{lines.count('META_STOP')} META_STOP"
-        raise RawDataError(file, f"line {numbers[0]}, META_START", found, "one META_STOP after it")
-    end = lines.index("META_STOP")
-    meta = _keywords(
-        [_pair(number, line, file) for number, line in rows[1:end]],
-        METADATA,
-        file,
-        f"META_START of line {numbers[0]}, ",
-    )
-    last = len(lines)
-    if "COVARIANCE_START" in lines[end:]:
-        if lines[-1] != "COVARIANCE_STOP":
-            raise RawDataError(file, f"line {numbers[-1]}", lines[-1], "COVARIANCE_STOP")
-        last = lines.index("COVARIANCE_START", end)
-    data, numbers = lines[end + 1 : last], numbers[end + 1 : last]
-    for number, line in zip(numbers, data):
+def _part(meta: Block, states: Block, file: str) -> Part:
+    """Metadata, times and values (N, 6) of a segment."""
+    lines = states.lines(_COORDINATES, file)
+    for n, line in enumerate(lines):
         if not _STATE.fullmatch(line):
-            raise _wrong_state(number, line, file)
-    words = " ".join(data).split()
-    if len(words) not in (7 * len(data), 10 * len(data)):  # some lines have accelerations
-        words = [word for line in data for word in line.split()[:7]]
-    width = len(words) // len(data) if data else 7
+            raise _wrong_state(states.at(n), line, file)
+    words = " ".join(lines).split()
+    if len(words) not in (7 * len(lines), 10 * len(lines)):  # some lines have accelerations
+        words = [word for line in lines for word in line.split()[:7]]
+    width = len(words) // len(lines) if lines else 7
     values = np.array([list(map(float, words[k::width])) for k in range(1, 7)]).T
     stamps = words[::width]
     times = [stamp.removesuffix("Z") for stamp in stamps]
     for n in [n for n, time in enumerate(times) if not _CALENDAR_STAMP.fullmatch(time)]:
-        times[n] = calendar_date(stamps[n], file, f"line {numbers[n]}, time")
-    return meta, times, np.ascontiguousarray(values)
+        times[n] = calendar_date(stamps[n], file, f"{states.at(n)}, time")
+    return meta, times, np.ascontiguousarray(values).reshape(-1, 6)
 
 
-def _wrong_state(number: int, line: str, file: str) -> RawDataError:
+def _wrong_state(where: str, line: str, file: str) -> RawDataError:
     """What is wrong with a line that is no time and six numbers, or nine with accelerations."""
     words = line.split()
     for name, word in zip(_COORDINATES + _ACCELERATIONS, words[1:]):
         if not _NUMBER.fullmatch(word):
-            return RawDataError(file, f"line {number}, {name}", word, PLAIN_NUMBER)
+            return RawDataError(file, f"{where}, {name}", word, PLAIN_NUMBER)
     expected = "a time and six numbers, with accelerations nine"
-    return RawDataError(file, f"line {number}", f"{len(words)} words: {line}", expected)
+    return RawDataError(file, where, f"{len(words)} words: {line}", expected)
 
 
-def _of_xml(text: str, file: str) -> list[Part]:
-    """Metadata, times and values (N, 6) of each segment of the XML form, alone or the one OEM of an NDM."""
-    root = xml_root(text.lstrip(), file)  # well-formed, without DTD
-    if root.tag == "ndm" and len(root.findall("oem")) == 1:
-        (root,) = root.findall("oem")
-    if root.tag != "oem":
-        inside = f" of {', '.join(sorted({one.tag for one in root}))}"[:64] if root.tag == "ndm" else ""
-        raise RawDataError(file, "root element", root.tag[:64] + inside, "oem, or ndm with one oem")
-    header = [("", one.tag, one.text or "") for one in root.iterfind("header/*")]
-    _keywords([("", "CCSDS_OEM_VERS", root.get("version", "")), *header], HEADER, file)
-    (body,) = elements_of(root, "body", file, 1, 1)
-    segments = elements_of(body, "segment", file, 1, MAX_SEGMENTS)
-    places = [f"segment {n}, " for n in range(1, len(segments) + 1)] if len(segments) > 1 else [""]
-    return [_of_segment(one, file, place) for one, place in zip(segments, places)]
-
-
-def _of_segment(segment: Element, file: str, inside: str) -> Part:
-    pairs = [(inside, one.tag, one.text or "") for one in segment.iterfind("metadata/*")]
-    meta = _keywords(pairs, METADATA, file, inside)
-    states = [(f"{inside}state {n}, ", one) for n, one in enumerate(segment.findall("data/stateVector"), 1)]
-    values = [[numbers_of(one, name, file, 1, where)[0] for name in _COORDINATES] for where, one in states]
-    times = [
-        calendar_date(element_text(one, "EPOCH", file, where), file, where.removesuffix(", "))
-        for where, one in states
-    ]
-    return meta, times, np.array(values).reshape(-1, 6)
-
-
-def _pair(number: int, line: str, file: str) -> tuple[str, str, str]:
-    """What errors put before the keyword of a line, the keyword and its value."""
-    if (match := _KEYWORD.fullmatch(line)) is None:
-        raise RawDataError(file, f"line {number}", line, "KEYWORD = value")
-    return f"line {number}, ", match[1], match[2]
-
-
-def _keywords(
-    pairs: Iterable[tuple[str, str, str]],
-    known: tuple[tuple[str, ...], tuple[str, ...]],
-    file: str,
-    inside: str = "",
-) -> _Keywords:
-    """Values by keyword; `RawDataError` for an unknown, a repeated, an empty and a missing one, which it says
-    to be missing `inside` ("segment 2, ").
-    """
-    values: dict[str, str] = {}
-    fields: dict[str, str] = {}
-    for where, key, value in pairs:
-        if key == "COMMENT":
-            continue
-        if key not in known[0] + known[1]:
-            raise RawDataError(file, where + key, "an unknown keyword", EXPECTED)
-        if key in values:
-            raise RawDataError(file, where + key, "a second time", "each keyword once")
-        values[key], fields[key] = value.strip(), where + key
-        if ("TIME" in key and key != "TIME_SYSTEM") or key.endswith(("DATE", "EPOCH")):
-            values[key] = calendar_date(values[key], file, fields[key])
-    meta = _Keywords(values, fields)
-    for key in known[0]:
-        if not values.get(key):
-            raise RawDataError(file, fields.get(key, inside + key), "nothing", EXPECTED)
-    if (version := values.get("CCSDS_OEM_VERS", VERSIONS[0])) not in VERSIONS:
-        raise meta.error("CCSDS_OEM_VERS", version, ", ".join(VERSIONS), file)
-    return meta
-
-
-def _frame(meta: _Keywords, epoch: Epoch, t_s: Floats, file: str) -> tuple[Literal["GCRF", "ITRF"], Rotation]:
+def _frame(meta: Block, epoch: Epoch, t_s: Floats, file: str) -> tuple[Literal["GCRF", "ITRF"], Rotation]:
     """The frame that states at t_s (N,) are kept in, and the rotation to it from that of the file: of frames
     of date one for each state, or that of REF_FRAME_EPOCH.
     """
@@ -319,14 +242,14 @@ def _frame(meta: _Keywords, epoch: Epoch, t_s: Floats, file: str) -> tuple[Liter
     raise meta.error("REF_FRAME", frame, expected, file)
 
 
-def _method(meta: _Keywords, file: str) -> Literal["lagrange", "hermite"]:
+def _method(meta: Block, file: str) -> Literal["lagrange", "hermite"]:
     method = meta.values.get("INTERPOLATION", "LAGRANGE").upper()
     if method not in ("LAGRANGE", "HERMITE"):
         raise meta.error("INTERPOLATION", method, "LAGRANGE or HERMITE", file)
     return "lagrange" if method == "LAGRANGE" else "hermite"
 
 
-def _degree(meta: _Keywords, file: str) -> int:
+def _degree(meta: Block, file: str) -> int:
     if "INTERPOLATION" not in meta.values:
         return 7
     degree = meta.values.get("INTERPOLATION_DEGREE", "nothing")

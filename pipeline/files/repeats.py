@@ -380,7 +380,7 @@ def targets_once(dump: Dump, settings: MatchSettings) -> Dump:
         for chip in (dump.chips[first], dump.chips[second]):
             with suppress(RawDataError):  # reported by its reader
                 sides_m.append(grid_place(chip.path, chip.file).side_m)
-        lat, lon, _ = geodetic_from_ecef(p_e[first][None], WGS84)
+        lat, lon, _ = geodetic_from_ecef(p_e[first][None])
         apart_m = np.abs(local_axes_e(lat, lon)[0].T @ (p_e[second] - p_e[first]))[:2]
         share = float(np.prod(np.maximum(1.0 - apart_m / min(sides_m), 0.0)))
         where = f"it lies {np.hypot(*apart_m):.3g} m from target {dump.targets[first].target_id}"

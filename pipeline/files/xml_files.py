@@ -66,23 +66,23 @@ def elements_of(root: Element, where: str, file: str, least: int, most: int) -> 
     return found
 
 
-def text_of(root: Element, where: str, file: str, inside: str = "") -> str:
+def text_of(root: Element, where: str, file: str) -> str:
     """The text of the one element at a path; `RawDataError` for none, several or an empty one."""
     found = root.findall(where)
     if len(found) != 1 or not (found[0].text or "").strip():
         elements = f"{len(found)} such elements, or an empty one"
-        raise RawDataError(file, inside + where, elements, "one element with text")
+        raise RawDataError(file, where, elements, "one element with text")
     return (found[0].text or "").strip()
 
 
-def numbers_of(root: Element, where: str, file: str, number: int, inside: str = "") -> list[float]:
-    """The finite numbers of one element `inside` another ("state 7, "); `RawDataError` for other text."""
-    words = text_of(root, where, file, inside).split()
+def numbers_of(root: Element, where: str, file: str, number: int) -> list[float]:
+    """The finite numbers of the one element at a path; `RawDataError` for other text."""
+    words = text_of(root, where, file).split()
     expected = f"{number} finite number{'s' if number > 1 else ''}"
     if len(words) != number:
-        raise RawDataError(file, inside + where, f"{len(words)} words", expected)
+        raise RawDataError(file, where, f"{len(words)} words", expected)
     if wrong := [word for word in words if not re.fullmatch(NUMBER, word) or not np.isfinite(float(word))]:
-        raise RawDataError(file, inside + where, wrong[0], expected)
+        raise RawDataError(file, where, wrong[0], expected)
     return [float(word) for word in words]
 
 

@@ -25,7 +25,6 @@ from boresight.calib.information import solve_total
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import passes_of
 from boresight.geometry.attitude import NominalMotion
-from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.line_camera import LineCamera, edge_tangent, end_looks
 from boresight.geometry.sightings import StripSightings
@@ -228,7 +227,7 @@ def _over_ground(dump: Dump, calibration: DumpCalibration) -> tuple[float, float
 def _altitude_m(dump: Dump, calibration: DumpCalibration) -> Floats:
     """Height of the satellite over the ellipsoid (2,), m, at the first and the last exposure."""
     positions_e = dump.orbit.positions_e(np.array(_span_s(calibration)))
-    return np.asarray(geodetic_from_ecef(positions_e, WGS84)[2])
+    return np.asarray(geodetic_from_ecef(positions_e)[2])
 
 
 def _inputs(dump: Dump) -> pa.Table:

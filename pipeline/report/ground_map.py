@@ -25,7 +25,6 @@ from scipy.sparse.csgraph import connected_components
 from boresight.calib.estimate import TargetResiduals
 from boresight.gct_match.search.coarse import means_of_usable, read_coarse
 from boresight.gct_match.settings import MatchSettings
-from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
 from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.terrain import ConstantHeight, Surface
@@ -111,7 +110,7 @@ class MapScene:
 
     def plane_m(self, p_e: Floats) -> Floats:
         """Points (N, 3) ITRS to metres (N, 2) east, north."""
-        lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
+        lat, lon, _ = geodetic_from_ecef(p_e)
         degrees = np.degrees(lon).tolist(), np.degrees(lat).tolist()  # of one-element arrays pyproj warns
         return np.column_stack(local_plane(self.lat_deg, self.lon_deg).transform(*degrees))
 
@@ -157,7 +156,7 @@ def _on_ground(task: StripTask, surface: Surface) -> StripOnGround:
 
 def _scene(strips: Sequence[StripOnGround]) -> MapScene:
     points = np.concatenate([one.outlines_e.reshape(-1, 3) for one in strips])
-    lat, lon, _ = geodetic_from_ecef(np.nanmean(points, axis=0)[None], WGS84)
+    lat, lon, _ = geodetic_from_ecef(np.nanmean(points, axis=0)[None])
     scene = MapScene(
         lat_deg=round(float(np.degrees(lat[0])), 4),
         lon_deg=round(float(np.degrees(lon[0])), 4),
@@ -247,7 +246,7 @@ def _residuals_m(one: StripOnGround, matched: MatchedTargets, rows: Ints, found:
         here = np.flatnonzero((matched.ccd == k) & (rows >= 0))
         if not len(here):
             continue
-        lat, lon, height = geodetic_from_ecef(p_all_e[here], WGS84)
+        lat, lon, height = geodetic_from_ecef(p_all_e[here])
         to_plane = np.swapaxes(local_axes_e(lat, lon)[:, :, :2], 1, 2)  # east, north
         level_m, xy_px = float(height.mean()), matched.xy_px[here]
         ccds = np.full(len(here), k)
@@ -295,7 +294,7 @@ def _placed(
     for one in scene.strips:
         places |= one.task.places
     p_e = np.array([places[str(row["target_id"])].p_e for row in rows])
-    lat, lon, height = geodetic_from_ecef(p_e, WGS84)
+    lat, lon, height = geodetic_from_ecef(p_e)
     east, north = scene.plane_m(p_e).T
     columns = np.column_stack([np.degrees(lat), np.degrees(lon), height, east, north])
     warm = _temperatures_c(dump, np.array([row["t_s"] for row in rows], dtype=float))
@@ -382,7 +381,7 @@ def _quicklook(scene: MapScene, one: StripOnGround, ccd: int) -> NDArray[np.floa
     images, surface = one.task.strip.images, surface_of(one.task.terrain)
     lat, lon, (rows, columns) = _lattice(scene, one.box_m(scene))
     height = np.nan_to_num(surface.height_m(lat, lon), nan=0.0)
-    ground_e = ecef_from_geodetic(lat.ravel(), lon.ravel(), height.ravel(), WGS84)
+    ground_e = ecef_from_geodetic(lat.ravel(), lon.ravel(), height.ravel())
     pixels = np.array(one.model.pixels_from_ground(ccd, ground_e), dtype=np.float32)
     to_size = _lattice_map(rows, columns)
     sample, line = (cv2.remap(v, *to_size, cv2.INTER_LINEAR) for v in pixels.reshape(2, NODES, NODES))

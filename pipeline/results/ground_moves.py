@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.predicted_earth import correlation_of_predictions
 from boresight.geometry.attitude_estimate import cross_matrices
-from boresight.geometry.constants import WGS84
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.geodesy import geodetic_from_ecef, unit_vectors
 from boresight.geometry.orbit import Orbit
@@ -44,7 +43,7 @@ class GroundMoves:
 def ground_moves(orbit: Orbit, R_ci: Rotation, t_s: Floats, p_e: Floats) -> GroundMoves:
     """The moves of ground points (N, 3), ITRS, seen at instants (N,) with attitudes (N,), GCRS to frame c."""
     motion_e = orbit.velocities_e(t_s)
-    lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
+    lat, lon, _ = geodetic_from_ecef(p_e)
     up = unit_vectors(lon, lat)
     along = motion_e - up * np.einsum("na,na->n", motion_e, up)[:, None]
     along = along / np.linalg.norm(along, axis=1, keepdims=True)

@@ -11,7 +11,6 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, local_axes_e, unit_vectors
 from boresight.geometry.installation import theta_between
 from boresight.geometry.pushbroom import Pushbroom
@@ -180,7 +179,7 @@ def _error(points: list[CheckPointRow], ccd: int, model: Pushbroom, dump: Dump) 
     rows = [(one.sample, one.line, one.lat_deg, one.lon_deg, one.height_m) for one in points]
     sample, line, lat_deg, lon_deg, height_m = np.array(rows).T.copy()
     lat, lon = np.radians(lat_deg), np.radians(lon_deg)
-    true_e = ecef_from_geodetic(lat, lon, height_m, WGS84)
+    true_e = ecef_from_geodetic(lat, lon, height_m)
     computed_e = model.ground_points(ccd, sample, line, surface_of(dump.terrain))
     up = unit_vectors(lon, lat)
     motion = dump.orbit.velocities_e(model.instants_of_lines(ccd, line))

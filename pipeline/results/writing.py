@@ -20,7 +20,6 @@ from boresight.calib.predicted_earth import is_earth
 from boresight.calib.reliability import blind_spots
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import Verdict
-from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.installation import euler_zxy_from_theta
 from boresight.geometry.line_camera import LineSensor, edge_tangent
@@ -351,7 +350,7 @@ def _passes_table(calibration: DumpCalibration, estimate: InstallationEstimate, 
         lasts_s = task.strip.lines * task.strip.row_period_s
         t_s = task.strip.t_first_row_s + lasts_s * np.array([0.5, 0.0, 1.0])
         states = task.orbit.states_i(t_s[:1])
-        lat, lon, _ = geodetic_from_ecef(task.orbit.positions_e(t_s), WGS84)
+        lat, lon, _ = geodetic_from_ecef(task.orbit.positions_e(t_s))
         track_deg = np.degrees([lat, lon]).T
         rows.append(
             {

@@ -26,7 +26,6 @@ from boresight.gct_match.records import Chip, StripMatches, Target, TargetMatch
 from boresight.gct_match.settings import MatchSettings
 from boresight.geometry.attitude import AttitudeTrack, Interpolation
 from boresight.geometry.attitude_estimate import cross_matrices
-from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions, moves_by_light
 from boresight.geometry.line_camera import LineSensor
@@ -345,7 +344,7 @@ def _not_matched(task: StripTask, refusal: Entry) -> Entry:
 def displaced_m(task: StripTask, target_id: str, ccd: int, xy_px: Sequence[float]) -> tuple[float, float]:
     """How far a target's stated place lies east and north of that shown at (sample, line), m."""
     p_e = task.places[target_id].p_e
-    lat, lon, height = geodetic_from_ecef(p_e[None], WGS84)
+    lat, lon, height = geodetic_from_ecef(p_e[None])
     model, level = pushbroom_of(task), ConstantHeight(float(height[0]))
     there = model.ground_points(ccd, np.array([xy_px[0]]), np.array([xy_px[1]]), level)
     east_m, north_m = (local_axes_e(lat, lon)[0].T @ (p_e - there[0]))[:2].tolist()
@@ -371,7 +370,7 @@ def ground_sightings(matched: MatchedTargets, task: StripTask) -> GroundSighting
     u_c, jacobian = model.directions_and_jacobian(matched.ccd, matched.xy_px)
     u_i, range_m = apparent_ground_directions(p_e, t_s, task.orbit, task.orbit.earth, task.effects)
     R_ie = task.orbit.earth.matrices_ie(t_s)
-    lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
+    lat, lon, _ = geodetic_from_ecef(p_e)
     axes_i = R_ie @ local_axes_e(lat, lon)
     return GroundSightings(
         target_id=matched.target_id,

@@ -11,7 +11,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from boresight.gct_match.records import Target
-from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
 from boresight.geometry.groundlight import apparent_ground_directions
 from boresight.pipeline.files.coordinate_slips import likeliest, slips
@@ -117,7 +116,7 @@ def _without_hidden_points(task: StripTask, with_slips: bool) -> tuple[StripTask
         return task, []
     p_e = np.array([target.p_e for target in points.targets])
     t_s = np.asarray(pushbroom_of(task).instants_of_lines(points.ccd, points.xy_px[:, 1]), dtype=float)
-    lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
+    lat, lon, _ = geodetic_from_ecef(p_e)
     up_e = local_axes_e(lat, lon)[:, :, 2]
     beyond = np.sum(up_e * (task.orbit.positions_e(t_s) - p_e), axis=1) <= 0.0
     u_i, _ = apparent_ground_directions(p_e, t_s, task.orbit, task.orbit.earth, task.effects)
@@ -141,7 +140,7 @@ def fitting_slip(task: StripTask, target: Target, ccd: int, xy_px: Floats) -> st
     semicolon; empty where no slip explains it, or the target is near already.
     """
     model = pushbroom_of(task)
-    lat, lon, height = geodetic_from_ecef(target.p_e[None], WGS84)
+    lat, lon, height = geodetic_from_ecef(target.p_e[None])
 
     def off_px(p_e: Floats, ccd: int = ccd) -> Floats:
         sample, line = model.pixels_from_ground(ccd, p_e)
@@ -152,7 +151,7 @@ def fitting_slip(task: StripTask, target: Target, ccd: int, xy_px: Floats) -> st
 
     def fits(places_deg: Floats) -> Bools:
         place_lat, place_lon = np.radians(places_deg).T
-        p_e = ecef_from_geodetic(place_lat, place_lon, np.full(len(place_lat), height[0]), WGS84)
+        p_e = ecef_from_geodetic(place_lat, place_lon, np.full(len(place_lat), height[0]))
         return np.asarray(off_px(p_e) < min(limit_px, 0.1 * stated_px))
 
     if stated_px < limit_px:

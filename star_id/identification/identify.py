@@ -40,7 +40,6 @@ __all__ = [
     "SOME_DETECTIONS",
     "USUAL",
     "WIDER",
-    "AttitudePrior",
     "Identification",
     "NotIdentified",
     "identify_stars",
@@ -72,8 +71,6 @@ _STAGES = (
     *stages_of(USUAL, MOST_DETECTIONS, begin=STARS_PER_FIELD),
     *stages_of(DENSER, STARS_PER_FIELD, MOST_DETECTIONS),
 )
-# Brightest predicted stars whose distances to detections give the error of a prior attitude (set by hand).
-_STARS_FOR_SHIFT = 30
 # Natural logarithm of the likelihood over that of chance, below which a proposal is not refined: where
 # errors are as expected a right one has less with probability exp(-4) at most, and an image has many right
 # ones.
@@ -84,14 +81,6 @@ _BRIGHT = 100
 # Error of predictions over the mean distance of detections, below which each star's nearest detection is
 # its own: another is nearer in pi * 0.05^2, 1 %, of the cases.
 _UNAMBIGUOUS = 0.05
-
-
-@record
-class AttitudePrior:
-    """Expected attitude of the camera, such as the last image's, propagated."""
-
-    R_si: Rotation = scalar("rotation GCRS to star-camera frame s")
-    sigma_rad: float = scalar("1-sigma error about each axis, rad")
 
 
 @record(kw_only=True)
@@ -128,7 +117,6 @@ def identify_stars(
     *,
     stages: tuple[tuple[int, int, int], ...] = _STAGES,
     tried: int = 0,
-    prior: AttitudePrior | None = None,
 ) -> Identification | NotIdentified:
     """Catalogue stars and attitude of detections given in the tangent plane.
 
@@ -148,8 +136,6 @@ def identify_stars(
     tried : int
         Proposals examined elsewhere (earlier stages, other fields of view); they count in the false-alarm
         probability.
-    prior : AttitudePrior, optional
-        Expected attitude, tried first.
 
     Returns
     -------
@@ -164,10 +150,6 @@ def identify_stars(
     if n < 4:
         return NotIdentified(f"{n} stars found, 4 are needed; lower the threshold or expose longer", n)
     image = PlaneDetections.from_xy(xy, field)
-    if prior is not None:
-        tracked, tried = _track(image, index, prior, settings)
-        if tracked is not None:
-            return tracked
     tables = dict(enumerate(index.tables_for(field.equivalent_fov_rad)))
     if (denser := index.denser_table(field.equivalent_fov_rad)) is not None:
         tables[DENSER] = denser
@@ -211,40 +193,6 @@ class _Trial:
     log_ratio: float
 
 
-def _track(
-    image: PlaneDetections, index: StarIndex, prior: AttitudePrior, settings: StarSettings
-) -> tuple[Identification | None, int]:
-    """The identification near a prior attitude, if there is one, and the number of shifts tried.
-
-    The predicted field is shifted by the offset that most pairs of bright stars and detections have in
-    common.
-    """
-    field = image.field
-    reach = 4.0 * prior.sigma_rad * (1.0 + field.half_x**2 + field.half_y**2)
-    hypothesis = predict_field(image, index, prior.R_si.as_matrix(), np.zeros(4))
-    shifts = 1
-    if reach > 4.0 * field.pixel:
-        bright = hypothesis.predicted[:_STARS_FOR_SHIFT]
-        every = (image.points[None, :_STARS_FOR_SHIFT] - bright[:, None]).ravel()
-        offsets = every[(np.abs(every.real) < reach) & (np.abs(every.imag) < reach)]
-        cell = max(4.0 * field.pixel, 0.5 * prior.sigma_rad)
-        cells = int(np.ceil(2.0 * reach / cell))
-        shifts = cells * cells
-        if len(offsets) == 0:
-            return None, shifts
-        column, row = (((part + reach) / cell).astype(np.int64) for part in (offsets.real, offsets.imag))
-        bins = column * cells + row
-        shift = offsets[bins == np.bincount(bins).argmax()].mean()
-        rotation = Rotation.from_rotvec([-shift.imag, shift.real, 0.0])  # moves stars by the shift
-        R = (rotation * prior.R_si).as_matrix()
-        hypothesis = predict_stars(index, hypothesis.rows, R, hypothesis.distortion)
-    sigma = np.hypot(2.0 * field.pixel, prior.sigma_rad * np.abs(hypothesis.predicted))
-    trial = _refined_trial(image, index, hypothesis, sigma, chosen=2)
-    if trial is None or np.log(shifts) - trial.log_ratio >= np.log(settings.max_false_alarm_probability):
-        return None, shifts
-    return _identification(image, index, trial, shifts), shifts
-
-
 def _try_proposal(
     image: PlaneDetections, index: StarIndex, corners: Complex, R: Floats, log_scale: float
 ) -> _Trial | None:
@@ -257,15 +205,15 @@ def _try_proposal(
     size = math.hypot(abs(a - centre), abs(b - centre), abs(c - centre)) / math.sqrt(3.0)
     reach = np.abs(hypothesis.predicted - centre)
     sigma = np.sqrt(field.pixel**2 + (0.5 * field.shape_error * reach) ** 2) * (1.0 + 0.7 / size * reach)
-    return _refined_trial(image, index, hypothesis, sigma, chosen=3)
+    return _refined_trial(image, index, hypothesis, sigma)
 
 
 def _refined_trial(
-    image: PlaneDetections, index: StarIndex, hypothesis: AttitudeHypothesis, sigma: Floats, *, chosen: int
+    image: PlaneDetections, index: StarIndex, hypothesis: AttitudeHypothesis, sigma: Floats
 ) -> _Trial | None:
     """The hypothesis refined by the detections that match it; None if they are fewer than four.
 
-    Its predictions are good to `sigma` (M,); it was made to fit `chosen` detections, which do not count in
+    Its predictions are good to `sigma` (M,); the three detections that it was made to fit do not count in
     the likelihood ratio. One that explains the image far worse than chance is not refined.
     """
     field = image.field
@@ -274,7 +222,7 @@ def _refined_trial(
     match = match_within(hypothesis, pairs, 3.0 * pairs.sigma)
     if match is None:
         return None
-    if not field.is_calibrated and (log_ratio := _log_ratio(image, pairs, chosen)) < _HOPELESS:
+    if not field.is_calibrated and (log_ratio := _log_ratio(image, pairs, 3)) < _HOPELESS:
         return _Trial(match, hypothesis.R, hypothesis.distortion, log_ratio)
     spacing = math.sqrt(image.area / len(image.points))
     unambiguous = field.is_calibrated and sigma.max(initial=0.0) < _UNAMBIGUOUS * spacing
@@ -289,7 +237,7 @@ def _refined_trial(
         match = match_within(hypothesis, pairs, limit)
         if match is None:
             return None
-    return _Trial(match, R_si, distortion, _log_ratio(image, pairs, chosen + (fitted - 2) // 2))
+    return _Trial(match, R_si, distortion, _log_ratio(image, pairs, 3 + (fitted - 2) // 2))
 
 
 def _settled(image: PlaneDetections, index: StarIndex, trial: _Trial) -> _Trial:

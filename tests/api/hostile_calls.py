@@ -24,7 +24,6 @@ import boresight as bs
 __all__ = ["DOCUMENTED", "Door", "door", "hostile_calls"]
 
 DOCUMENTED = (ValueError, bs.RawDataError, bs.DataNotSufficientError, bs.WorkerError)
-OF_RECORDS = (*DOCUMENTED, TypeError)  # a record made with arguments that it does not have, or of other types
 MOST_REPLACED = 3
 
 
@@ -140,7 +139,9 @@ def door(solution: bs.StarSolution, result: bs.Calibration, dump: Path, out: Pat
         Door("method geolocate", result.geolocate, {**places, "line": 9.0, "sample": 3.0}, share=0.3),
         Door("StarSettings", stars_found_with, {"image": noise}),
         Door("MatchSettings", matched_with, {"picture": noise}),
-        Door("StarCamera", bs.StarCamera, dict(zip(CAMERA, (0.1, 1e-5, 64, 64, (31.5, 31.5)))), OF_RECORDS),
+        Door("StarCamera", bs.StarCamera, dict(zip(CAMERA, (0.1, 1e-5, 64, 64, (31.5, 31.5))))),
+        Door("Ccd", bs.Ccd, dict(zip(DETECTOR, (64, -3e-4, 0.0, 0.0, 1e-5, 31.5)))),
+        Door("LookTable", bs.LookTable, {"n_px": 64, "samples": [0, 63], "tan_x": [0, 0], "tan_y": [0, 1]}),
     ]
     tested = {one.name for one in doors}
     functions = {name for name in bs.__all__ if inspect.isfunction(getattr(bs, name))}
@@ -213,6 +214,7 @@ def matched_with(
 
 
 CAMERA = ("focal_m", "pixel_m", "width_px", "height_px", "principal_px")
+DETECTOR = ("n_px", "y_first_m", "x_offset_m", "rotation_rad", "pixel_m", "principal_sample")
 VALID = (None, "mini", EMPTY)  # for which the heavy ones set to work
 HEAVY = {"forecast": ("plan",), "calibrate": ("dump",), "match_targets": ("dump",), "simulate": ("scenario",)}
 

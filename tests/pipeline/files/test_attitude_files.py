@@ -247,7 +247,7 @@ def test_keywords_of_version_1_may_only_say_what_version_2_says(tmp_path: Path) 
         says = rf"line \d+, {key}: found {value}, expected {only}, as in version 2.0, which has no {key}"
         with pytest.raises(RawDataError, match=says):
             read(tmp_path, kvn(OK | {key: value}, rows, "2.0"), None, None)
-    with pytest.raises(RawDataError, match=r"line 1, CCSDS_AEM_VERS: found 3.0, expected 1.0 or 2.0"):
+    with pytest.raises(RawDataError, match=r"line 1, CCSDS_AEM_VERS: found 3.0, expected 1.0, 2.0"):
         read(tmp_path, kvn(OK, rows, "3.0"), None, None)
 
 
