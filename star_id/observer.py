@@ -6,6 +6,8 @@ errors.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -77,6 +79,12 @@ def proper_motion_covariance(
     is wrong by `error_years`, 1 sigma."""
     if error_years == 0.0:
         return np.zeros((len(rows), 2, 2))
-    moved = -R_si.apply(index.stars.take(rows).motions())[:, :2]
+    moved = -R_si.apply(_motions(index).take(rows, axis=0))[:, :2]
     moved *= error_years * camera.focal_m / camera.pixel_m
     return np.asarray(moved[:, :, None] * moved[:, None, :])
+
+
+@lru_cache(maxsize=2)  # every image asks
+def _motions(index: StarIndex) -> Floats:
+    """Proper motions (N, 3), rad/yr, GCRS axes, of the stars of an index."""
+    return index.stars.motions()

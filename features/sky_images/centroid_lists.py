@@ -58,11 +58,13 @@ def star_list_of(
         stated = _finite(UNSTATED_PX if sigma_px is None else sigma_px, "sigma_px", None)
         if stated.size not in (1, n):
             raise wrong("sigma_px", stated, f"a number or shape ({n},)")
-        sigma = np.broadcast_to(stated, (n,))
-        cov = (sigma * np.abs(sigma))[:, None, None] * np.eye(2)
+        variance = stated * np.abs(stated)
+        cov = np.broadcast_to(variance, (n,))[:, None, None] * np.eye(2)
+        positive = ((variance > 0.0) & (variance < np.inf)).all()
     else:
         cov = _finite(cov_px, "cov_px", (n, 2, 2))
-    if n and not (is_symmetric(cov) and (np.linalg.eigvalsh(cov) > 0.0).all()):
+        positive = is_symmetric(cov) and (np.linalg.eigvalsh(cov) > 0.0).all()
+    if n and not positive:
         found = "errors of 0 px or below, or a covariance that is none"
         raise wrong("sigma_px" if cov_px is None else "cov_px", found, "errors above 0 px")
     half = 0.5 * np.array(sides)
@@ -76,7 +78,8 @@ def star_list_of(
         snr=np.full(n, np.nan) if snr is None else _finite(snr, "snr", (n,)),
         psf_sigma_px=USUAL_PSF_PX,
     )
-    return StarList.of_centroids(stars, flux, size_px).take(np.argsort(-flux, kind="stable"))
+    listed = StarList.of_centroids(stars, flux, size_px)
+    return listed if flux_dn is None else listed.take(np.argsort(-flux, kind="stable"))
 
 
 def _covariances(table: pd.DataFrame) -> Floats:

@@ -273,6 +273,7 @@ def check_field(fov_deg: float | None) -> None:
         raise RawDataError("--fov", "value", f"{fov_deg}", expected)
 
 
+@lru_cache(maxsize=4)  # every image asks
 def with_unknown_time(settings: StarSettings) -> StarSettings:
     """Settings by which stars of images without time have the errors of unknown years."""
     return replace(settings, epoch_error_years=settings.epoch_error_years or EPOCH_ERROR_YEARS)

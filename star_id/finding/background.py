@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.records.record import Bools, Floats, array, record, scalar
+from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import CLIP_SIGMA, MAD_SIGMA, NOISIER
 from boresight.star_id.finding.cut_sky import UNCUT, clipped_variance, cut_moments, limit_after_cut
 
@@ -209,12 +209,10 @@ def _by_blocks(image: NDArray[Any], side: float) -> Background:
     edges_y = np.linspace(0, sample.shape[0], rows + 1).round().astype(int)
     edges_x = np.linspace(0, sample.shape[1], columns + 1).round().astype(int)
     blocks = (sample[y0:y1, x0:x1] for y0, y1 in pairwise(edges_y) for x0, x1 in pairwise(edges_x))
-    counts = np.stack(
-        [cv2.calcHist([block], [0], None, [bins], [low, high]).ravel() for block in blocks], axis=1
-    )
+    counts = [cv2.calcHist([block], [0], None, [bins], [low, high])[:, 0] for block in blocks]
     width_bin = (high - low) / bins
     offset = 0.0 if np.issubdtype(sample.dtype, np.integer) and width_bin == 1.0 else 0.5
-    by_block: Floats = np.asarray(counts.T, dtype=float, order="C")
+    by_block: Ints = np.array(counts, dtype=np.int32)  # their sums are ten times as fast as of floats
     value: Floats = np.asarray(low + (np.arange(bins) + offset) * width_bin)
     level, noise = _clipped_moments(by_block, value, width_bin)
     least = int(by_block.any(axis=0).argmax())
@@ -250,7 +248,7 @@ def extended(grid: Floats, *, continued: bool = True) -> Floats:
 def _histogram_range(sample: NDArray[Any]) -> tuple[float, float, int]:
     if sample.dtype == np.uint8:
         return 0.0, 256.0, 256
-    few = np.sort(sample.ravel()[:: max(1, sample.size // 20000)])
+    few = np.sort(sample.ravel()[:: max(1, sample.size // 20000)].astype(np.float32))  # faster than integers
     low, middle, high = (float(few[int(q * (len(few) - 1))]) for q in (0.002, 0.5, 0.98))
     low, high = np.floor(low - 0.1 * (middle - low)), np.ceil(high + (high - middle) + 1.0)
     bins = 2048
@@ -261,10 +259,10 @@ def _histogram_range(sample: NDArray[Any]) -> tuple[float, float, int]:
     return low, max(high, float(np.nextafter(single, np.float32(np.inf)))), bins
 
 
-def _clipped_moments(counts: Floats, value: Floats, width: float) -> tuple[Floats, Floats]:
+def _clipped_moments(counts: Ints, value: Floats, width: float) -> tuple[Floats, Floats]:
     """Sigma-clipped mean and standard deviation (B,), (B,) of histograms (B, bins); bins at the limits count
     in part."""
-    total = np.cumsum(counts, axis=1)
+    total = np.cumsum(counts, axis=1, dtype=np.int32)
     n = np.maximum(total[:, -1:], 1.0)
 
     def quantile(q: float) -> Floats:
@@ -278,10 +276,8 @@ def _clipped_moments(counts: Floats, value: Floats, width: float) -> tuple[Float
     used = _bins_within(value, level, 3.0 * CLIP_SIGMA * sigma)
     counts, value = counts[:, used], value[used]
     for _ in range(4):
-        reach = CLIP_SIGMA * sigma[:, None]
-        upper = np.minimum(np.maximum((level[:, None] + reach - value) / width + 0.5, 0.0), 1.0)
-        lower = np.minimum(np.maximum((value - level[:, None] + reach) / width + 0.5, 0.0), 1.0)
-        weight = counts * upper * lower
+        inside = (CLIP_SIGMA * sigma[:, None] - np.abs(value - level[:, None])) / width + 0.5
+        weight = counts * np.minimum(np.maximum(inside, 0.0), 1.0)
         n_in = np.maximum(weight.sum(axis=1), 1e-9)
         level = weight @ value / n_in
         spread = weight @ value**2 / n_in - level**2

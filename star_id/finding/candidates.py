@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from boresight.records.record import Floats, Ints, record
 from boresight.star_id.beyond_chance import SELDOM_SIGMA
-from boresight.star_id.finding.background import Background, extended
+from boresight.star_id.finding.background import Background, extended, median_of
 from boresight.star_id.finding.cut_sky import LEAST_LEVELS_PER_SIGMA
 from boresight.star_id.finding.windows import NINE
 
@@ -44,7 +44,7 @@ _TILES_PER_BLOCK = 32
 MAX_CANDIDATES = 20_000
 # Rows of the binned image that are worked on at a time, so that they stay in the processor's cache; a
 # multiple of 8 (`_words`).
-_BAND_ROWS = 64
+_BAND_ROWS = 96
 
 
 @record
@@ -77,10 +77,10 @@ def find_candidates(image: NDArray[Any], background: Background, *, halvings: in
         coarse = _binned_to_8_bits(image[first * scale : last * scale, : columns * scale], grey, first)
         cv2.add(coarse[1:], coarse[:-1], pairs[:n])
         cv2.add(pairs[:n, 1:], pairs[:n, :-1], sums[:n, :-1])
-        threshold = grey.threshold
-        if len(threshold) > 1:
-            threshold = threshold[first : first + n, :columns]
-        cv2.subtract(sums[:n], threshold, sums[:n])  # saturates: most sums become 0
+        if len(grey.threshold) > 1:  # most sums become 0
+            cv2.subtract(sums[:n], grey.threshold[first : first + n, :columns], sums[:n])
+        else:
+            cv2.threshold(sums[:n], float(grey.threshold[0]), 0.0, cv2.THRESH_TOZERO, sums[:n])
         cv2.dilate(sums[:n], NINE, maxima[:n])
         own = slice(top - first, top - first + _BAND_ROWS)
         sums[n:] = 0  # below the image
@@ -103,7 +103,7 @@ def _grey_scale(image: NDArray[Any], background: Background, halvings: int) -> _
     A sky too uneven for that is subtracted pixel by pixel, in floating point.
     """
     scale = 2**halvings
-    noise = float(np.median(background.noise_dn))
+    noise = median_of(background.noise_dn)
     low, high = float(background.level_dn.min()), float(background.level_dn.max())
     # means of four may be rounded to whole DN if the noise is larger; 16 bits are always fine enough
     whole = halvings > 0 and image.dtype == np.uint8 and float(background.noise_dn.min()) > _COARSE_NOISE_DN

@@ -183,7 +183,7 @@ def _iterate(
         step, normal, residual, weight = newton_step(windows, images, state, gain)
         moved = np.abs(step[:, :2])
         last = (moved * np.sqrt(np.einsum("npp->np", normal)[:, :2])).max(axis=1)
-        step[:, :2] = np.clip(step[:, :2], -LARGEST_STEP_PX, LARGEST_STEP_PX)
+        step[:, :2] = np.minimum(np.maximum(step[:, :2], -LARGEST_STEP_PX), LARGEST_STEP_PX)
         if psf.is_flat:
             step *= _DAMPING
         state = state + step

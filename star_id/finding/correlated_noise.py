@@ -21,7 +21,7 @@ from scipy.special import ndtr
 
 from boresight.records.record import Bools, Floats
 from boresight.star_id.beyond_chance import CLIP_SIGMA, SELDOM_SIGMA
-from boresight.star_id.finding.background import NEAR_PX, Background, in_noise
+from boresight.star_id.finding.background import NEAR_PX, Background, in_noise, median_of
 from boresight.star_id.finding.cut_sky import FARTHEST_SIGMA, UNCUT
 from boresight.star_id.finding.psf import USUAL_SIGMA_PX
 
@@ -71,10 +71,11 @@ def _begin_of_blocks(lines: NDArray[Any]) -> int | None:
     are for many flat blocks. Of long lines some 512 pixels are looked at.
     """
     thin = lines[:, :: 1 + lines.shape[1] // 512]
-    same = np.count_nonzero(thin[1:] == thin[:-1], axis=1) / thin.shape[1]
-    if same.mean() < 0.5 * _MANY_FLAT:
+    same = thin[1:] == thin[:-1]
+    if np.count_nonzero(same) < 0.5 * _MANY_FLAT * same.size:
         return None
-    return int(np.argmin([same[(line - 1) % _BLOCK_PX :: _BLOCK_PX].mean() for line in range(_BLOCK_PX)]))
+    alike = np.count_nonzero(same, axis=1)
+    return int(np.argmin([alike[(line - 1) % _BLOCK_PX :: _BLOCK_PX].mean() for line in range(_BLOCK_PX)]))
 
 
 def _step_of_means(level_dn: NDArray[Any], flat: Bools, mean_dn: Floats) -> float:
@@ -102,7 +103,7 @@ def as_independent_noise(image: NDArray[Any], background: Background) -> Backgro
     Means of correlated pixels of a sky that is cut off are scattered upwards alone: there the noise is
     measured above the sky, from the median of the means, and the sky is taken as whole."""
     is_cut = background.above_cut is not None
-    few_levels = background.above_cut is not None and np.median(background.above_cut) >= UNCUT
+    few_levels = background.above_cut is not None and median_of(background.above_cut) >= UNCUT
     if few_levels or not _is_correlated(image, background):
         return background
     taps = np.asarray(
@@ -130,7 +131,7 @@ def _is_correlated(image: NDArray[Any], background: Background) -> bool:
     """Whether adjacent pixels are more alike than pixels apart."""
     rows = np.linspace(0, len(image) - 1 - NEAR_PX, _LINES).astype(np.int64)
     start, below, far_below = (image[rows + k].astype(np.float32) for k in (0, 1, NEAR_PX))
-    largest = max(SELDOM_SIGMA * float(np.median(background.noise_dn)), _LARGEST_DN)
+    largest = max(SELDOM_SIGMA * median_of(background.noise_dn), _LARGEST_DN)
 
     def mean(difference: NDArray[np.float32]) -> float:
         return float(np.minimum(np.abs(difference), largest).mean())

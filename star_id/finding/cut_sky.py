@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainccinv, ndtr, ndtri  # scipy.stats takes 0.2 s to load
 
-from boresight.records.record import Floats
+from boresight.records.record import Floats, Ints
 from boresight.star_id.beyond_chance import NEVER_SIGMA
 
 __all__ = [
@@ -40,7 +40,7 @@ _MOST_CUT = 0.95
 _APART = 0.9
 
 
-def cut_moments(counts: Floats, value: Floats, level: Floats, noise: Floats) -> tuple[Floats, Floats, Floats]:
+def cut_moments(counts: Ints, value: Floats, level: Floats, noise: Floats) -> tuple[Floats, Floats, Floats]:
     """Level and noise (B,), (B,) of blocks whose histograms (B, bins) are cut off at their least `value`
     (bins,): two upper quantiles of the normal distribution that the sky was; and by how many of its sigmas
     its level was above the cut (B,).

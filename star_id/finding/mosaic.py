@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from boresight.records.record import Floats
 from boresight.star_id.beyond_chance import FEW_STARS, MAD_SIGMA, SELDOM_SIGMA
-from boresight.star_id.finding.background import Background, background_image, estimate_backgrounds
+from boresight.star_id.finding.background import Background, background_image, estimate_backgrounds, median_of
 from boresight.star_id.finding.lines import PART_PX, without_lines
 
 __all__ = ["cell_response", "even_image", "has_mosaic", "merged_cells"]
@@ -49,7 +49,7 @@ def has_mosaic(image: NDArray[Any]) -> bool:
     quarter = PART_PX**2 // 16
     ends = (quarter, PART_PX**2 // 4 - quarter)
     cells = np.sort(cells.reshape(len(tiles), 4, -1).astype(np.float32), axis=2)
-    if np.median(cells[:, :, ends[0]]) <= cells.min():  # of a sky that is cut off levels follow the noise
+    if median_of(cells[:, :, ends[0]]) <= cells[:, :, 0].min():  # cut off: levels follow the noise
         return False
     level = cells[:, :, slice(*ends)].mean(axis=2)  # without stars
     between = np.sort(cells[:, :, ends[1]] - cells[:, :, ends[0]], axis=None)  # the quartiles

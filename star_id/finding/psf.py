@@ -343,7 +343,7 @@ def by_parameter(state: Floats, parameters: int) -> Floats:
     (N, 4): the flux for place and width (columns 0, 1 and from 4 on), 1 for flux and sky.
     """
     scale = np.ones((len(state), parameters))
-    scale[:, [0, 1, *range(4, parameters)]] = state[:, 2:3]
+    scale[:, :2] = scale[:, 4:] = state[:, 2:3]
     return scale
 
 

@@ -106,7 +106,8 @@ def grey_image(planes: NDArray[Any], file: str) -> NDArray[Any]:
     if planes.ndim == 3 and planes.shape[0] == 1:
         planes = planes[0]
     whole = planes.dtype.kind in "ui" and planes.dtype != np.uint8
-    if whole and planes.min(initial=0) >= 0 and (most := planes.max(initial=0)) < 2**16:
+    least = planes.min(initial=0) if planes.dtype.kind == "i" else 0
+    if whole and least >= 0 and (most := planes.max(initial=0)) < 2**16:
         planes = planes.astype(np.uint8 if most < 2**8 else np.uint16, copy=False)
     if planes.ndim == 2 and planes.dtype in (np.uint8, np.uint16):
         return planes
