@@ -112,6 +112,7 @@ class Reason(StrEnum):
     NOT_COVERED = "not covered by orbit or star exposures", State.UNREADABLE
     NO_TARGET = "no target matched", State.UNMATCHED
     NOT_A_SKY_STRIP = "not a strip of the sky", State.UNREADABLE
+    NOT_OF_THE_GROUND = "not a strip of the ground", State.UNREADABLE
     OTHER_SMEAR = "not the images that its TDI stages make", State.UNREADABLE
     NOT_CALIBRATED = "no result", State.UNREADABLE
     MARKED_INVALID = "marked invalid", State.UNREADABLE

@@ -94,7 +94,8 @@ def calibrate_dump(
     heads = tuple(sight_head(dump, head, settings, runner) for head in dump.heads)
     sky = find_in_sky_strips(dump, heads, settings, runner)
     surface = surface_of(dump.terrain)  # in memory: processes forked from here share it
-    basis = Basis(dump, heads, settings, errors, runner, surface, tuple(against_own_motion(heads)))
+    of_attitudes = tuple(against_own_motion(heads, settings.verdict))
+    basis = Basis(dump, heads, settings, errors, runner, surface, of_attitudes)
     first, last = first_and_last_round(basis, sky)
     found = last.estimate.with_reference(basis.reference)
     omissions = (

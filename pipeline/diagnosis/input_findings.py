@@ -117,7 +117,13 @@ CONTRADICTIONS = {
 
 # Why a strip, or a CCD of one, gives nothing, whatever it shows; what a strip that is read does not show is a
 # loss.
-NOTHING = (Reason.UNREADABLE, Reason.NOT_IDENTIFIED, Reason.NOT_A_SKY_STRIP, Reason.NOT_COVERED)
+NOTHING = (
+    Reason.UNREADABLE,
+    Reason.NOT_IDENTIFIED,
+    Reason.NOT_A_SKY_STRIP,
+    Reason.NOT_OF_THE_GROUND,
+    Reason.NOT_COVERED,
+)
 
 
 def _of_nothing(entries: Sequence[Entry]) -> Iterator[Finding]:

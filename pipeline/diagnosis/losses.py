@@ -57,6 +57,17 @@ __all__ = [
 ]
 
 FEWEST = 3  # targets or stars that make a pattern, or agree by themselves
+# Why targets are not found that a strip does not show, whatever their coordinates and chips are.
+NOT_SHOWN = (
+    Reason.NO_COMMON_ROTATION,
+    Reason.FEW_VALID_PIXELS,
+    Reason.NO_CORRELATION,
+    Reason.NOT_CONVERGED,
+    Reason.UNCERTAIN_POSITION,
+    Reason.PROBABLY_WRONG,
+    Reason.AT_WINDOW_EDGE,
+    Reason.LOW_CORRELATION,
+)
 FLAT_COUNTS = 2.0  # standard deviation of an image without content
 FLAT_SKY_COUNTS = 0.1  # ... of the dark sky, whose noise alone is more
 
@@ -274,12 +285,12 @@ def _lost_strips(
     """Strips of which nothing was matched, not even alone."""
     lost: dict[str, list[Subject]] = {}
     for entry in entries:
-        if entry.reason is Reason.NO_COMMON_ROTATION:
+        if entry.reason in NOT_SHOWN:
             lost.setdefault(entry.subject.strip, []).append(entry.subject)
     shown = {ledger.strips[n] for n in np.unique(ledger.strip[ledger.found]).tolist()}
     for strip_id, targets in lost.items():
         subject = Subject(Kind.STRIP, strip=strip_id)
-        if strip_id in shown or len(targets) < FEWEST or subject in explained:
+        if strip_id in shown or len({one.id for one in targets}) < FEWEST or subject in explained:
             continue
         flat = [is_flat(images[strip_id], ccd) for ccd in images[strip_id].ccds]
         if not shown and not all(flat):

@@ -48,6 +48,7 @@ LAGS_S = np.array([1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3, 1.0])  # of attitudes again
 LEAST_UNEVEN_S = 1e-3  # rms by which instants lie off even ones, from which even ones are tried
 LEAST_SHARE = 0.25  # of rows whose instants are off
 TRIED = np.exp(np.linspace(-4.0, 12.0, 65))  # sizes of an excess, times the stated error
+DEFAULTS = VerdictSettings()  # limits of the verdict where none are given
 
 
 @dataclass(frozen=True)
@@ -97,9 +98,10 @@ class Attitudes:
     R_si: Rotation = array("K", "GCRS to the head")
     gyro: GyroRecord | None = scalar("a gyro, in the axes of the head", default=None)
     covariance_s: Floats = array("K, 3, 3", "of each by itself, rad²")
+    limits: VerdictSettings = scalar("of the verdict")
 
     @classmethod
-    def of(cls, head: HeadSightings, reference: Head) -> Attitudes:
+    def of(cls, head: HeadSightings, reference: Head, limits: VerdictSettings) -> Attitudes:
         """Those of a head; the reference head has the gyro."""
         usable = np.flatnonzero(head.attitudes.usable)
         return cls(
@@ -108,6 +110,7 @@ class Attitudes:
             t_s=np.array([head.stars[k].t_s for k in usable]),
             R_si=Rotation.from_matrix(head.attitudes.R_si[usable].reshape(-1, 3, 3)),
             covariance_s=head.attitudes.covariance_s[usable],
+            limits=limits,
             gyro=reference.gyro and reference.gyro.in_axes(head.head.R_cs0.inv() * reference.R_cs0),
         )
 
@@ -134,7 +137,7 @@ class Attitudes:
         """Whether the stars of single exposures contradict one another: their camera or images are wrong, and
         the attitudes scatter as the stars change.
         """
-        of, limits = self.head.attitudes, VerdictSettings()
+        of, limits = self.head.attitudes, self.limits
         n, lost = len(of.kept), int(np.sum(~of.kept))
         chi2, dof = of.chi2[of.usable].sum(), of.dof[of.usable].sum()
         p_value = min(
@@ -149,9 +152,13 @@ class Attitudes:
         return "attitudes" if self.is_solved else "exposures"
 
 
-def against_own_motion(heads: Sequence[HeadSightings]) -> list[Finding]:
-    """Findings about the attitudes of all heads whose attitudes are, by and large, those of one satellite."""
-    every = [Attitudes.of(head, heads[0].head) for head in heads]
+def against_own_motion(
+    heads: Sequence[HeadSightings], limits: VerdictSettings = DEFAULTS
+) -> list[Finding]:
+    """Findings about the attitudes of all heads whose attitudes are, by and large, those of one satellite;
+    `limits` tell whether the stars of single exposures contradict one another.
+    """
+    every = [Attitudes.of(head, heads[0].head, limits) for head in heads]
     if any(_are_apart(every[0], other) for other in every[1:]):
         return []  # a file or a convention is wrong, and errors are about other axes than stated
     if every[0].gyro is not None and (of_gyro := _of_gyro(every)):

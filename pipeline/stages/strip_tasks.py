@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from boresight.gct_match.records import Target
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
 from boresight.geometry.groundlight import apparent_ground_directions
+from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.files.coordinate_slips import likeliest, slips
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.ground_points import NO_POINTS
@@ -22,7 +23,7 @@ from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.stages.coverage import attitudes_in_s, covered_strips, stated_mountings
 from boresight.pipeline.stages.head import HeadSightings, before_calibration, sight_head
-from boresight.pipeline.stages.strip import StripTask, pushbroom_of, targets_near
+from boresight.pipeline.stages.strip import StripTask, footprint_e, pushbroom_of, targets_near
 from boresight.records.ledger import Entry, Kind, Reason, Subject
 from boresight.records.record import Bools, Floats
 
@@ -79,6 +80,10 @@ def strip_tasks(
             interpolation=head.head.interpolation,
             carrier=head.head.name,
         )
+        if not _sees_the_ground(task):
+            reason = "by its attitudes the camera looks past the Earth: check quaternions and utc_first_row"
+            omitted.append(Entry(strip.subject, Reason.NOT_OF_THE_GROUND, reason))
+            continue
         task, hidden = _without_hidden_points(task, with_slips)
         omitted += hidden
         targets, chips = targets_near(task, dump.targets, dump.chips)
@@ -105,6 +110,16 @@ def before_launch(
     heads = [sight_head(dump, head, settings, runner) for head in dump.heads]
     sigma_rad, mountings = dump.sigma_installation_rad, stated_mountings(heads)
     return heads, *strip_tasks(dump, heads, dump.R_cs0, sigma_rad, mountings, settings)
+
+
+def _sees_the_ground(task: StripTask) -> bool:
+    """Whether any corner of a strip shows the Earth, and every measured point lies on an image of it."""
+    seen_e, points, model = footprint_e(task), task.points, pushbroom_of(task)
+    at_points = [
+        model.ground_points(ccd, *points.xy_px[points.ccd == ccd].T, ConstantHeight(0.0))
+        for ccd in np.unique(points.ccd).tolist()
+    ]
+    return bool(np.isfinite(seen_e).any() and all(np.isfinite(p_e).all() for p_e in at_points))
 
 
 def _without_hidden_points(task: StripTask, with_slips: bool) -> tuple[StripTask, list[Entry]]:
