@@ -82,6 +82,7 @@ ERRORS: dict[str, ErrorKind] = {
     "focal length of the star camera": ("%", 0.05, 1.0, STAR, "focal_length_mm", LONG),
     "principal point of the star camera": ("px", 1.0, 1.0, STAR, "principal_point_px", SIZES),
     "radial distortion of the star camera": ("px at its corner", 1.0, 1.0, STAR, "q1_per_mm2", SIZES),
+    "decentring of the star camera": ("px at its corner", 1.0, 1.0, STAR, "p1_per_mm, p2_per_mm", SIZES),
     # Of vectors of frames.
     "attitude of a frame": ("″", 10.0, 1.0, VECTORS, "", SIZES),
     "attitude and aberration of all frames": ("″", 10.0, 1.0, VECTORS, "", SIZES),

@@ -22,7 +22,14 @@ from boresight.records.record import Bools, Floats, Ints, Texts, array, record
 __all__ = ["PARTS", "StarEffects", "star_effects", "summed"]
 
 # Parts of the star camera's model whose errors are estimated, in the order of the columns.
-PARTS = ("focal length", "principal point, column", "principal point, row", "radial distortion")
+PARTS = (
+    "focal length",
+    "principal point, column",
+    "principal point, row",
+    "radial distortion",
+    "decentring, column",
+    "decentring, row",
+)
 PERCENT = 1e-2  # one hundredth: the unit in which errors of focal length and distortion are stated
 INFORMATIVE = 30.0  # chi-square by which a part of the model is taken to be wrong
 FARTHEST_RAD = 5e-3  # a star farther from its place is another one
@@ -31,7 +38,7 @@ MOST_ROUNDS = 5  # most rounds of fitting the camera's errors and rejecting outl
 
 @record(kw_only=True)
 class StarEffects:
-    """Of each part of the model (`PARTS`) in units: a percent, pixels, pixels, pixels at the corner."""
+    """Of each part of the model (`PARTS`) in units: a percent, pixels, pixels, and pixels at the corner."""
 
     exposure_id: Texts = array("K", "exposures")
     psi: Floats = array("K, 3, P", "change of the attitude, axes of s, rad; zero where it is not fixed")
@@ -153,6 +160,9 @@ def _changes(u: Floats, camera: StarCamera) -> Floats:
     dv = np.zeros((len(u), 3, len(PARTS)))
     dv[:, :2, 0] = -PERCENT * v
     dv[:, 0, 1] = dv[:, 1, 2] = pixel
-    dv[:, :2, 3] = v * radius**2 * pixel / corner**3
+    dv[:, :2, 3] = -v * radius**2 * pixel / corner**3
+    # The image is inverted, so that even terms, r² t + 2 (t.v) v for a decentring t, keep their sign.
+    sideways = radius[:, :, None] ** 2 * np.eye(2) + 2.0 * v[:, :, None] * v[:, None]
+    dv[:, :2, 4:] = sideways * pixel / corner**2
     across = np.eye(3) - u[:, :, None] * u[:, None, :]
     return across @ dv * u[:, 2, None, None]

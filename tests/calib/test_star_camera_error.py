@@ -61,16 +61,17 @@ def sizes(strip: StripSightings) -> tuple[np.ndarray, np.ndarray]:
         (replace(CAMERA, focal_m=0.0999), "focal length", 0.1),
         (replace(CAMERA, principal_px=(527.3, 380.2)), "principal point, column", -12.0),
         (replace(CAMERA, principal_px=(515.3, 368.2)), "principal point, row", 12.0),
-        (replace(CAMERA, q1=5.2e-5), "radial distortion", None),
+        (replace(CAMERA, q1=5.2e-5), "radial distortion", -2.9),
+        # p2 r² = 1e-4 * 9.6² mm = 9.2 µm, or 0.61 px
+        (replace(CAMERA, p1=1e-4), "decentring, column", -0.61),
+        (replace(CAMERA, p2=-1e-4), "decentring, row", 0.61),
     ],
 )
 def test_the_part_that_is_wrong_explains_most_and_has_its_size(true, part, size) -> None:
     found, gain = (dict(zip(PARTS, values)) for values in sizes(seen(true)))
     assert max(gain, key=gain.__getitem__) == part and gain[part] > 100.0
-    if size is not None:  # to a tenth: the columns leave out the lens' distortion
-        assert found[part] == pytest.approx(size, rel=0.1)
-    else:
-        assert abs(found[part]) == pytest.approx(2.9, rel=0.1)
+    # to a tenth: the columns leave out the lens' distortion
+    assert found[part] == pytest.approx(size, rel=0.1)
 
 
 def test_a_right_camera_is_not_accused() -> None:
