@@ -433,6 +433,7 @@ def _in_view(task: StripTask, named: Sequence[Candidate]) -> tuple[MatchedTarget
         correlation=np.ones(len(rows)),
         probability_wrong=np.zeros(len(rows)),
         predicted_px=places[rows],
+        affine=np.zeros((len(rows), 2, 2)),
         pictures=(NO_PICTURES,) * len(rows),
         omissions=(),
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -35,6 +36,7 @@ __all__ = [
     "EarthTableCheck",
     "assumed_motion",
     "check_earth_table",
+    "chip_maps",
     "contradicting_rows",
     "earth_findings",
     "heights",
@@ -49,6 +51,39 @@ SMALLEST_HEIGHT_M = 5.0  # systematic difference of heights that is reported
 SINGLE_HEIGHT_M = 30.0  # ... of one target from the others: slopes and trees stay below
 ALIKE = 0.1  # of their distance, by which targets may be apart that lie off their chips alike
 MOST_CHIPS = 256  # that are opened for it
+# Of the maps from chips to strips: fewest of one source that are compared; scatter from chip to chip, 0.001
+# of sound ones; size from which places in the middle of 128 px move by a fifth of a pixel.
+FEWEST_MAPS, MAP_SCATTER, SMALLEST_MAP = 6, 1e-3, 3e-3
+MAP_SIGMAS = 6.0  # of the median of a source, from which it is told
+
+
+@dataclass(frozen=True)
+class ChipMap:
+    """What the maps from chips to strips may have in common."""
+
+    cause: str
+    text: str  # with its size and 1-sigma, and which way it is wrong
+    unit: str
+    si: float  # of one unit
+    parts: Callable[[Floats], Floats]  # both parts (N, 2) of affine maps (N, 2, 2) that agree in it
+
+
+CHIP_MAPS = (
+    ChipMap(
+        "pixel size of the chips",
+        "pixels stated {0:.3g} ± {1:.2g} % too {2}",
+        "%",
+        1e-2,
+        lambda A: -A[:, [0, 1], [0, 1]],
+    ),
+    ChipMap(
+        "rotation of the chips",
+        "a rotation by {0:.3g} ± {1:.2g}°",
+        "°",
+        float(np.radians(1.0)),
+        lambda A: A[:, [0, 1], [1, 0]] * [1.0, -1.0],
+    ),
+)
 # Reasons of targets whose place is wrong.
 WRONG = (Reason.OUTSIDE_CHIP, Reason.INCONSISTENT, Reason.TARGET_RESIDUAL)
 
@@ -68,6 +103,7 @@ def input_findings(
         *_of_nothing(omissions),
         *(shifted := list(shifted_chips(dump, omissions))),
         *(() if shifted else outside_chips(omissions)),
+        *chip_maps(tasks, matched),
         *_smeared(dump, omissions),
         *_still_stars(dump),
         *(_assumed_noise(head) for head in dump.heads if head.noise_is_assumed),
@@ -229,6 +265,58 @@ def shifted_chips(dump: Dump, entries: Sequence[Entry]) -> Iterator[Finding]:
         file="targets.csv",
         field="lat_deg, lon_deg, chip",
         subjects=tuple(Subject(Kind.TARGET, id=target.target_id) for target, _ in pairs),
+    )
+
+
+def chip_maps(tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]) -> Iterator[Finding]:
+    """That the chips of a source, or several of them alike, are larger or turned in the strips: about the
+    corners from which their geo-references count that displaces their targets.
+    """
+    of_source: dict[str, list[tuple[str, Floats]]] = defaultdict(list)
+    for task, one in zip(tasks, matched):
+        source = {target.target_id: target.reference for target in task.targets}
+        for name, affine in zip(one.target_id.tolist(), one.affine):
+            if np.isfinite(affine).all():
+                of_source[of.name if (of := source[name]) else ""].append((name, affine))
+    for source_name, chips in of_source.items():
+        names, maps = np.array([name for name, _ in chips]), np.array([affine for _, affine in chips])
+        every = f"chips of reference {source_name}" if source_name else "all chips"
+        for kind in CHIP_MAPS:
+            both = kind.parts(maps)
+            each = np.abs(both.mean(axis=1))
+            off = each > MAP_SIGMAS * MAP_SCATTER
+            if told := _of_maps(kind, every, both):
+                yield told
+            elif 0 < off.sum() < len(off) and np.median(each[off]) > MAP_SIGMAS * _map_scatter(both[~off]):
+                some = f"chips of {list_words(sorted(set(names[off].tolist())))}"
+                yield from filter(None, [_of_maps(kind, some, both[off])])
+
+
+def _map_scatter(both: Floats) -> float:
+    """Median deviation of maps (N, 2) from their median, no less than that of sound ones."""
+    each = both.mean(axis=1)
+    return max(MAP_SCATTER, float(np.median(np.abs(each - np.median(each)))))
+
+
+def _of_maps(kind: ChipMap, item: str, both: Floats) -> Finding | None:
+    """That chips have in common what their maps (N, 2) show, if they do."""
+    if (n := len(both)) < FEWEST_MAPS:
+        return None
+    size, (one, other) = float(np.median(both.mean(axis=1))), np.median(both, axis=0).tolist()
+    sigma = 1.4826 * _map_scatter(both) * float(np.sqrt(0.5 * np.pi / n))  # of the median
+    if abs(size) < max(SMALLEST_MAP, MAP_SIGMAS * sigma) or min(one / size, other / size) < 0.5:
+        return None
+    words = kind.text.format(abs(size) / kind.si, sigma / kind.si, "large" if size > 0.0 else "small")
+    return Finding(
+        cause=kind.cause,
+        item=item,
+        text=f"{n} places in the strips show {words}: check the geo-reference of the chips.",
+        value=size / kind.si,
+        sigma=sigma / kind.si,
+        unit=kind.unit,
+        file="targets.csv",
+        field="chip",
+        refutes=True,
     )
 
 

@@ -152,9 +152,7 @@ class Attitudes:
         return "attitudes" if self.is_solved else "exposures"
 
 
-def against_own_motion(
-    heads: Sequence[HeadSightings], limits: VerdictSettings = DEFAULTS
-) -> list[Finding]:
+def against_own_motion(heads: Sequence[HeadSightings], limits: VerdictSettings = DEFAULTS) -> list[Finding]:
     """Findings about the attitudes of all heads whose attitudes are, by and large, those of one satellite;
     `limits` tell whether the stars of single exposures contradict one another.
     """

@@ -114,6 +114,7 @@ class MatchedTargets(RowRecord):
     correlation: Floats = array("N", "of template and strip")
     probability_wrong: Floats = array("N", "probability that the position is a false match")
     predicted_px: Floats = array("N, 2", "position predicted with the initial installation matrix")
+    affine: Floats = array("N, 2, 2", "A - I of the affine map from chip to strip; zero for a translation")
     pictures: tuple[MatchPictures, ...] = array("N", "template, strip and correlation surface")
     omissions: tuple[Entry, ...] = scalar("unreadable chips, targets that were rejected", default=())
     farthest_px: float = scalar("largest distance on an axis from a prediction; 0: no template", default=0.0)
@@ -196,6 +197,7 @@ def measured_points(
         correlation=unknown,
         probability_wrong=unknown if probability_wrong is None else probability_wrong,
         predicted_px=np.full((n, 2), np.nan),
+        affine=np.full((n, 2, 2), np.nan),
         pictures=(NO_PICTURES,) * n,
     )
 
@@ -238,6 +240,7 @@ def _matched(
         correlation=np.array([m.correlation for m in matches], dtype=float),
         probability_wrong=np.array([m.probability_wrong for m in matches], dtype=float),
         predicted_px=np.array([m.predicted_px for m in matches], dtype=float).reshape(n, 2),
+        affine=np.array([m.affine for m in matches], dtype=float).reshape(n, 2, 2),
         pictures=tuple(pictures[m.target_id, m.ccd] for m in matches),
         omissions=tuple(omissions),
         farthest_px=max((float(np.abs(m.xy_px - m.expected_px).max()) for m in matches), default=0.0),

@@ -116,8 +116,9 @@ def _sees_the_ground(task: StripTask) -> bool:
     """Whether any corner of a strip shows the Earth, and every measured point lies on an image of it."""
     seen_e, points, model = footprint_e(task), task.points, pushbroom_of(task)
     at_points = [
-        model.ground_points(ccd, *points.xy_px[points.ccd == ccd].T, ConstantHeight(0.0))
+        model.ground_points(ccd, sample, line, ConstantHeight(0.0))
         for ccd in np.unique(points.ccd).tolist()
+        for sample, line in [points.xy_px[points.ccd == ccd].T]
     ]
     return bool(np.isfinite(seen_e).any() and all(np.isfinite(p_e).all() for p_e in at_points))
 

@@ -207,6 +207,7 @@ def _write_units(folder: Path) -> None:
         correlation=none,
         probability_wrong=none,
         predicted_px=pairs,
+        affine=np.zeros((0, 2, 2)),
         pictures=(),
         omissions=(),
     )

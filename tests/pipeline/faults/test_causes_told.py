@@ -7,6 +7,7 @@ those of `faults.py`.
 """
 
 import re
+import tomllib
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -17,6 +18,7 @@ import fault_dumps
 import faults
 import numpy as np
 import pytest
+import rasterio
 from edits import repaint
 from PIL import Image
 from scipy.spatial.transform import Rotation
@@ -162,6 +164,37 @@ def stages(count: int, label: str, dump: Path) -> None:
     change(dump / REMOTE, 'time_of_row = "middle"', f'time_of_row = "{label}"')
 
 
+def chips_mapped(scale: float, turned_deg: float, dump: Path) -> None:
+    """Chips whose geo-references are larger, or turned, about the corners from which they count."""
+    for chip in (dump / "chips").glob("*.tif"):
+        with rasterio.open(chip) as file:
+            image, profile = file.read(1), dict(file.profile)
+        a, b, c, d, e, f, *_ = profile["transform"]
+        about = rasterio.Affine(scale * a, scale * b, 0.0, scale * d, scale * e, 0.0)
+        moved = rasterio.Affine.rotation(turned_deg) @ about
+        profile["transform"] = rasterio.Affine.translation(c, f) @ moved
+        chip.unlink()
+        with rasterio.open(chip, "w", **profile) as file:
+            file.write(image, 1)
+
+
+def turned_away(dump: Path) -> None:
+    """Attitudes of the exposures of a strip, of both heads, with which the camera looks past the Earth."""
+    begins = {row[0]: row[3] for row in table(dump / "strips.csv")[1:]}
+    for head in ("STR1", "STR2"):
+        stated = tomllib.loads((dump / f"installation_{head}.toml").read_text())["quaternion_cs"]
+        turn = Rotation.from_rotvec(
+            np.radians(80.0) * Rotation.from_quat(stated).inv().apply([1.0, 0.0, 0.0])
+        )
+
+        def edit(row: Row, turn: Rotation = turn) -> None:
+            if later(begins["s02"], -4.0) < row["utc"] < later(begins["s02"], 6.0):
+                q = Rotation.from_quat([float(row[key]) for key in ("qx", "qy", "qz", "qw")]) * turn
+                row.update(zip(("qx", "qy", "qz", "qw"), map(repr, q.as_quat().tolist())))
+
+        edited(f"{head}.csv", edit, dump)
+
+
 CLOCK, TIMES = "clock of the rows", "times of attitudes"
 IN_TURN = ("clock of the exposures, every second one", "all exposures", "exposures.csv", -40.0, "")
 ROWS = [
@@ -210,6 +243,14 @@ ROWS = [
         [("order of an image", "strip s02", "strips.csv", None, "rows reversed 12 of 12 targets are found")]),
     ("ground", number("star_camera.toml", "focal_length_mm", lambda v: 1.002 * v), REFUTED,
         [("focal length of the star camera", "all exposures", "star_camera.toml", 0.2, "")]),
+    ("ground", number("star_camera.toml", "p1_per_mm", lambda v: v + 2e-5), REFUTED,  # p r², 20.5 mm from its
+        [("decentring of the star camera, column", "all exposures", "star_camera.toml", 0.26, "")]),  # middle
+    ("ground", partial(chips_mapped, 1.016, 0.0), REFUTED,
+        [("pixel size of the chips", "all chips", "targets.csv", 1.6, "too large")]),
+    ("ground", partial(chips_mapped, 1.0, 1.0), REFUTED,
+        [("rotation of the chips", "all chips", "targets.csv", None, r"rotation by [\d.]+ ± [\d.]+°")]),
+    ("points", turned_away, FINDINGS,
+        [("images, not a strip of the ground", "strip s02", "strips.csv", None, "looks past the Earth")]),
     ("ground", strips_again, CONSISTENT, []),
     ("ground", exposures_early(5), REFUTED, [IN_TURN]),
     ("ground", partial(painted, "s02_*", grey(17)), FINDINGS,
