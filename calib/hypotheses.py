@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.polynomial.legendre import legvander
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.star_camera_error import PARTS, StarEffects
@@ -77,6 +78,14 @@ ERRORS: dict[str, ErrorKind] = {
     "rotation of a CCD": ("mrad", 0.5, 1.0, CAMERA, "rotation_mrad", SIZES),
     "length of a CCD": ("px", 0.5, 30.0, CAMERA, "pixel_pitch_um", SIZES),
     "bend of a CCD": ("px", 0.5, 30.0, CAMERA, "look directions", SIZES),
+    "distortion of the remote-sensing camera": (
+        "px",
+        0.5,
+        1.0,
+        CAMERA,
+        "distortion_offsets_um, pixel_pitch_um",
+        SIZES,
+    ),
     "focal length of the remote-sensing camera": ("%", 0.05, 1.0, CAMERA, "focal_length_m", LONG),
     "image of a CCD": ("px", 0.5, 1.0, STRIPS, "file", SIZES),
     "focal length of the star camera": ("%", 0.05, 1.0, STAR, "focal_length_mm", LONG),
@@ -100,6 +109,7 @@ MOST_JUMPS = 12  # passes from which on the mounting may have moved
 # A season is looked for where passes of so many days span so much of a year; its phases are 30° apart, so
 # that one of them has 0.93 of the variance of any season.
 FEWEST_DAYS, LEAST_YEARS, PHASES = 5, 0.5, 6
+DEGREES = 5  # of polynomials over a CCD that a distortion of all CCDs may have
 MOST_FRAMES = 50  # of vectors whose attitudes are tested one by one: the work grows with the square
 
 
@@ -499,19 +509,28 @@ def _of_input(of: HypothesisInputs, moved: MovedInput) -> Hypothesis:
 
 
 def _of_looks(of: HypothesisInputs) -> Iterator[Hypothesis]:
-    """Place, rotation, length and bend of each CCD, all of a camera shifted alike, and its focal length."""
+    """Place, rotation, length and bend of each CCD; all of a camera shifted or distorted alike; its focal
+    length.
+    """
     ccd, camera, sample = of.ground.ccd, of.column("camera"), of.ground.xy_px[:, 0]
     axes, (x, y) = ("along the track", "across the track"), -of.shifts()
     every = list(_cameras(of))
     yield from _in_each(every, _errors(of, "place of the CCDs", axes, (x, y)))
-    numbers = sorted(set(zip(camera.tolist(), ccd.tolist())))
+    numbers, at = sorted(set(zip(camera.tolist(), ccd.tolist()))), np.zeros((len(sample), 1))
+    for n, number in numbers:
+        here = (camera == n) & (ccd == number)
+        half = max(float(np.ptp(sample[here])) / 2.0, 1.0)
+        at[here, 0] = (sample[here] - float(sample[here].min() + half)) / half  # -1 to 1 over it
+    if len(numbers) > len(every):  # of one CCD it is the length of that
+        degrees = range(1, DEGREES + 1)
+        shapes = np.moveaxis(legvander(at, DEGREES)[:, :, 1:] * y[:, :, None], 2, 0)
+        names = tuple(f"degree {degree} over each CCD" for degree in degrees)
+        yield from _in_each(every, _errors(of, "distortion of the remote-sensing camera", names, shapes))
     for n, number in numbers:
         if sum(one == n for one, _ in numbers) == 1:
             continue
         here, name = (camera == n) & (ccd == number), of.cameras[n]
         pivot = (of.pivots or {}).get((name, number), float(sample[here].mean()))
-        half = max(float(np.ptp(sample[here])) / 2.0, 1.0)
-        at = (sample - float(sample[here].min() + half))[:, None] / half  # -1 to 1 over it
         shapes = [
             _error(of, "rotation of a CCD", -MILLI * (sample - pivot)[:, None] * x),
             _error(of, "length of a CCD", at * y),

@@ -33,6 +33,7 @@ from boresight.pipeline.diagnosis.losses import (
     lost_stars,
     lost_targets,
     named_alone,
+    repeated_lines,
     searched_alone,
     star_ledger,
     with_left_out,
@@ -80,6 +81,7 @@ def assessed(
     reliability = examined(basis, found, sighted, basis.errors, inputs)
     of_attitudes = basis.of_attitudes
     of_inputs = [*of_attitudes, *input_findings(basis, last.tasks, last.matched, omissions)]
+    of_inputs += repeated_lines(last.tasks)
     if any(one.refutes for one in of_inputs):  # places measured with a wrong input accuse no other one
         reliability = replace(reliability, findings=(), suspects=())
     verdict = assess(
@@ -90,6 +92,11 @@ def assessed(
         reliability=reliability,
         target_files=dump.target_files,
     )
+    of_stars = [
+        it for it in verdict.refuted_by if it.kind in (CheckKind.STAR_RESIDUALS, CheckKind.STARS_REJECTED)
+    ]
+    if of_stars:  # places by wrong attitudes accuse no single target
+        reliability = replace(reliability, suspects=())
     earth = check_earth_table(dump.orbit, dump.earth_table, bundled_table())
     explanations = list[Finding]()
     if any(one.refutes for one in of_attitudes):  # what follows from them accuses no other input
@@ -100,9 +107,6 @@ def assessed(
         explanations = [one for one in explanations if one.refutes and one.subjects]
         explanations = [one for one in explanations if all(it.kind is Kind.CCD for it in one.subjects)]
     lost = {subject.strip for one in explanations for subject in one.subjects}
-    of_stars = [
-        it for it in verdict.refuted_by if it.kind in (CheckKind.STAR_RESIDUALS, CheckKind.STARS_REJECTED)
-    ]
     noise = reliability.scatter  # where stars or strips are wrong, points scatter as a consequence
     if noise and (of_stars or {one.strip for one in noise.subjects} & lost - {""}):
         verdict = replace(verdict, findings=tuple(one for one in verdict.findings if one is not noise))

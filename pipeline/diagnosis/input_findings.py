@@ -84,6 +84,7 @@ CHIP_MAPS = (
         lambda A: A[:, [0, 1], [1, 0]] * [1.0, -1.0],
     ),
 )
+ROUNDED_M = (1.0, 10.0, 100.0, 1000.0)  # steps to which positions may have been rounded
 # Reasons of targets whose place is wrong.
 WRONG = (Reason.OUTSIDE_CHIP, Reason.INCONSISTENT, Reason.TARGET_RESIDUAL)
 
@@ -104,6 +105,7 @@ def input_findings(
         *(shifted := list(shifted_chips(dump, omissions))),
         *(() if shifted else outside_chips(omissions)),
         *chip_maps(tasks, matched),
+        *_rounded_orbit(dump),
         *_smeared(dump, omissions),
         *_still_stars(dump),
         *(_assumed_noise(head) for head in dump.heads if head.noise_is_assumed),
@@ -189,7 +191,7 @@ def outside_chips(entries: Sequence[Entry]) -> Iterator[Finding]:
             cause="coordinates",
             item=count_words(len(names), "target"),
             subjects=tuple(Subject(Kind.TARGET, id=name) for name in names),
-            text=f"{list_words(names)} {fits}: correct lat_deg, lon_deg in targets.csv.",
+            text=f"{list_words(names)} {fits}: correct lat_deg, lon_deg in targets.csv, or the chips.",
             file="targets.csv",
             field="lat_deg, lon_deg",
             explains=tuple(entry.subject for name in names for entry in of_target[name]),
@@ -266,6 +268,25 @@ def shifted_chips(dump: Dump, entries: Sequence[Entry]) -> Iterator[Finding]:
         field="lat_deg, lon_deg, chip",
         subjects=tuple(Subject(Kind.TARGET, id=target.target_id) for target, _ in pairs),
     )
+
+
+def _rounded_orbit(dump: Dump) -> Iterator[Finding]:
+    """That the positions of the orbit were written with too few digits for their stated error."""
+    p_m = dump.orbit.positions_m
+    step_m = max(
+        (one for one in ROUNDED_M if np.allclose(np.remainder(p_m / one + 0.5, 1.0), 0.5)), default=0.0
+    )
+    if step_m / np.sqrt(12.0) > dump.errors.position_m:
+        text = f"all are multiples of {step_m:g} m, of an error of {step_m / np.sqrt(12.0):.2g} m (1σ): "
+        yield Finding(
+            cause="rounded positions of the orbit",
+            item="all states",
+            text=f"{text}write more digits, or state it as position_m in dump.toml.",
+            value=step_m,
+            unit="m",
+            file="orbit",
+            refutes=True,
+        )
 
 
 def chip_maps(tasks: Sequence[StripTask], matched: Sequence[MatchedTargets]) -> Iterator[Finding]:
@@ -387,6 +408,11 @@ def heights(
                 f"{stated}, or the terrain's conversely: check height_kind."
             )
         yield Finding(cause=cause, item=item, text=text, file="targets.csv", field="height_m, height_kind")
+    elif scatter > SINGLE_HEIGHT_M:
+        n, size = int(known.sum()), f"{scatter:.0f} m"
+        text = f"{n} targets scatter about it by {size}: check its geo-reference, and height_m."
+        cause, item = "heights of targets or terrain", "all targets, or the terrain model"
+        yield Finding(cause=cause, item=item, text=text, file="terrain, targets.csv", refutes=True)
     off = np.abs(np.where(known, above_m - middle, 0.0))
     odd = np.flatnonzero(off > max(SINGLE_HEIGHT_M, 6.0 * scatter))
     alike = len(odd) > FEWEST and np.ptp(above_m[odd]) < SINGLE_HEIGHT_M

@@ -29,7 +29,7 @@ from boresight.pipeline.files.star_tables import survey_of
 from boresight.pipeline.stages.sky_side import SkySide, name_in_sky_strips, scatter_px
 from boresight.pipeline.stages.sky_strip import NOT_STATED_PX, NamedStars, SkyTask
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, match_strip_targets, pushbroom_of
-from boresight.records.ledger import Entry, Kind, Ledger, Reason, Subject
+from boresight.records.ledger import Entry, Kind, Ledger, Reason, Subject, list_words
 from boresight.records.record import Bools, Floats, Ints, RowRecord, array, record, scalar
 from boresight.star_id.strip_stars.find import StripStars
 
@@ -50,6 +50,7 @@ __all__ = [
     "lost_targets",
     "named_alone",
     "names",
+    "repeated_lines",
     "searched_alone",
     "star_ledger",
     "stars_found",
@@ -69,6 +70,7 @@ NOT_SHOWN = (
     Reason.LOW_CORRELATION,
 )
 FLAT_COUNTS = 2.0  # standard deviation of an image without content
+MOST_REPEATED = 0.2  # of the lines of an image that repeat the one before: a detector's noise leaves none
 FLAT_SKY_COUNTS = 0.1  # ... of the dark sky, whose noise alone is more
 
 
@@ -377,14 +379,46 @@ def lost_strip(strip: Subject, targets: Sequence[Subject], *, all_flat: bool) ->
     return Finding.about(cause, strip, text, "strips.csv", explains=tuple(targets))
 
 
+def repeated_lines(tasks: Sequence[StripTask]) -> Iterator[Finding]:
+    """Strips of the ground of which many lines show the line before once more. Where most strips are such,
+    places in them are off alike by part of a line, and the matrix with them.
+    """
+    shares = {task.strip.subject: _share_repeated(task.strip.images) for task in tasks}
+    repeated = tuple(strip for strip, share in shares.items() if share > MOST_REPEATED)
+    if repeated:
+        share = min(shares[strip] for strip in repeated)
+        yield Finding(
+            cause="repeated lines",
+            item=list_words([strip.words for strip in repeated]),
+            subjects=repeated,
+            text=f"{share:.0%} of their lines are equal to the one before: check how the images were made.",
+            file="strips.csv",
+            field="file",
+            refutes=2 * len(repeated) > len(shares),
+        )
+
+
+def _share_repeated(images: StripFiles) -> float:
+    """The least share, of the CCDs of a strip, of lines in its middle that repeat the one before; 0: none."""
+    try:
+        middles = [_middle(images, ccd) for ccd in images.ccds]
+    except RawDataError:
+        return 0.0
+    shown = [image for image in middles if len(image) > 1 and np.std(image.astype(float)) >= FLAT_COUNTS]
+    return min((float((one[1:] == one[:-1]).all(axis=1).mean()) for one in shown), default=0.0)
+
+
 def is_flat(images: StripFiles, ccd: int, most: float = FLAT_COUNTS) -> bool:
     """Whether the image of a CCD has no content in its middle: a standard deviation of at most `most`."""
-    lines, samples = images.shape(ccd)
     try:
-        middle = images.read(ccd, lines // 2, min(lines, lines // 2 + 64), 0, samples)
+        return float(np.std(_middle(images, ccd).astype(float))) < most
     except RawDataError:
         return False
-    return float(np.std(middle.astype(float))) < most
+
+
+def _middle(images: StripFiles, ccd: int) -> Any:
+    lines, samples = images.shape(ccd)
+    return images.read(ccd, lines // 2, min(lines, lines // 2 + 64), 0, samples)
 
 
 # Most searches of single CCDs and targets that a run makes for what was not found; bounds their time.

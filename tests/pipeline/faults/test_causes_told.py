@@ -150,6 +150,10 @@ def noisy(image: np.ndarray) -> np.ndarray:
     return (image + noise).clip(0, 65535).round().astype(image.dtype)
 
 
+def every_second_line_twice(image: np.ndarray) -> np.ndarray:
+    return np.repeat(image[::2], 2, axis=0)[: len(image)]
+
+
 def grey(level: int) -> Callable[[np.ndarray], np.ndarray]:
     return lambda image: np.full_like(image, level)
 
@@ -176,6 +180,27 @@ def chips_mapped(scale: float, turned_deg: float, dump: Path) -> None:
         chip.unlink()
         with rasterio.open(chip, "w", **profile) as file:
             file.write(image, 1)
+
+
+def another_distortion(dump: Path) -> None:
+    """Offsets along every detector that are 0 in its middle and a pixel, with a cubic, at its ends."""
+    text = (dump / REMOTE).read_text()
+
+    def other(found: re.Match[str]) -> str:
+        offsets = np.array([float(value) for value in found[1].split(",")])
+        offsets += 1e3 * PITCH_MM * np.linspace(-1.0, 1.0, len(offsets)) ** 3
+        return f"distortion_offsets_um = {offsets.tolist()}"
+
+    faults.write_text(dump / REMOTE, re.sub(r"distortion_offsets_um = \[(.*)\]", other, text))
+
+
+def few_digits(dump: Path) -> None:
+    """An orbit of positions rounded to 100 m, and velocities to 1 m/s."""
+
+    def edit(t_s: np.ndarray, p: np.ndarray, v: np.ndarray) -> None:
+        p[:], v[:] = np.round(p, 1), np.round(v, 3)
+
+    faults.states(edit, dump)
 
 
 def turned_away(dump: Path) -> None:
@@ -249,6 +274,16 @@ ROWS = [
         [("pixel size of the chips", "all chips", "targets.csv", 1.6, "too large")]),
     ("ground", partial(chips_mapped, 1.0, 1.0), REFUTED,
         [("rotation of the chips", "all chips", "targets.csv", None, r"rotation by [\d.]+ ± [\d.]+°")]),
+    ("ground", lambda dump: repaint(dump / "terrain/dem.tif", lambda z: np.roll(z, 20, axis=1)), REFUTED,
+        [("heights of targets or terrain", "all targets, or the terrain model", "terrain, targets.csv", None,
+            "scatter about it")]),
+    ("ground", partial(painted, "s02_*", every_second_line_twice), FINDINGS,
+        [("repeated lines", "strip s02", "strips.csv", None, "5[01]% of their lines")]),
+    ("points", another_distortion, FINDINGS,  # x³ = 0.6 P1 + 0.4 P3, of which a part is off the stated range
+        [("distortion of the remote-sensing camera, degree 1 over each CCD", "all CCDs", REMOTE, -0.5, ""),
+         ("distortion of the remote-sensing camera, degree 3 over each CCD", "all CCDs", REMOTE, -0.3, "")]),
+    ("points", few_digits, REFUTED,
+        [("rounded positions of the orbit", "all states", "orbit", 100.0, "of an error of 29 m")]),
     ("points", turned_away, FINDINGS,
         [("images, not a strip of the ground", "strip s02", "strips.csv", None, "looks past the Earth")]),
     ("ground", strips_again, CONSISTENT, []),
