@@ -522,10 +522,9 @@ def _of_looks(of: HypothesisInputs) -> Iterator[Hypothesis]:
         half = max(float(np.ptp(sample[here])) / 2.0, 1.0)
         at[here, 0] = (sample[here] - float(sample[here].min() + half)) / half  # -1 to 1 over it
     if len(numbers) > len(every):  # of one CCD it is the length of that
-        degrees = range(1, DEGREES + 1)
-        shapes = np.moveaxis(legvander(at, DEGREES)[:, :, 1:] * y[:, :, None], 2, 0)
-        names = tuple(f"degree {degree} over each CCD" for degree in degrees)
-        yield from _in_each(every, _errors(of, "distortion of the remote-sensing camera", names, shapes))
+        changes_c = np.moveaxis(legvander(at, DEGREES)[:, :, 1:] * y[:, :, None], 2, 0)
+        names = tuple(f"degree {degree} over each CCD" for degree in range(1, DEGREES + 1))
+        yield from _in_each(every, _errors(of, "distortion of the remote-sensing camera", names, changes_c))
     for n, number in numbers:
         if sum(one == n for one, _ in numbers) == 1:
             continue
