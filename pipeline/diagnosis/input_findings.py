@@ -84,7 +84,7 @@ CHIP_MAPS = (
         lambda A: A[:, [0, 1], [1, 0]] * [1.0, -1.0],
     ),
 )
-ROUNDED_M = (1.0, 10.0, 100.0, 1000.0)  # steps to which positions may have been rounded
+ROUNDED_M = (10.0, 100.0, 1000.0)  # steps to which positions may have been rounded: 1 m moves 0.1″
 # Reasons of targets whose place is wrong.
 WRONG = (Reason.OUTSIDE_CHIP, Reason.INCONSISTENT, Reason.TARGET_RESIDUAL)
 
