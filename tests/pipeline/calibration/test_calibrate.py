@@ -1,4 +1,6 @@
-"""From pixels to the matrix on `fixtures/mini`: what the result must be, and what must not matter to it."""
+"""From pixels to the matrix on `fixtures/mini`: what the result must be, what must not matter to it, and the
+exit status where the data contradict themselves.
+"""
 
 import json
 import shutil
@@ -9,8 +11,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from command_line import ran
-from edits import rows_of
-from fixture_strips import FIXTURE
+from edits import replaced, rows_of, write_rows
+from fixture_strips import FIXTURE, stopped_run
 
 from boresight.geometry import attitude_estimate
 from boresight.geometry.attitude_estimate import fit_attitudes
@@ -186,3 +188,30 @@ def test_commands_exit_as_promised(one_strip: Path, tmp_path: Path) -> None:
     ran("simulate", "no-such-scenario", tmp_path / "x", status=2)
     ran("simulate", "mini", tmp_path / "x", "--set", "strips.cuont=3", status=2)
     ran("--version")
+
+
+def test_a_wrong_focal_length_of_the_star_camera_refutes_the_result(one_strip: Path, tmp_path: Path) -> None:
+    replaced(one_strip / "star_camera.toml", "focal_length_mm = 100.0", "focal_length_mm = 99.8")
+    command = ("calibrate", one_strip, "--out", tmp_path / "out", "--workers", 1, "--no-report")
+    told = ran(*command, status=3).stdout
+    assert told.splitlines()[0].startswith("verdict                   refuted by "), told
+    content = json.loads((tmp_path / "out/installation.json").read_text())
+    (check,) = [c for c in content["verdict"]["checks"] if c["kind"] == "residuals of stars"]
+    assert content["verdict"]["outcome"] == "refuted" and not check["holds"]
+    assert "refuted by" in ran(*command, status=3).output  # nothing to do, and the verdict stands
+    ran(*command, "--accept", "refuted")
+
+
+def test_targets_listed_under_several_ids_are_counted_once(one_strip, finished, tmp_path):
+    rows = rows_of(one_strip / "targets.csv")
+    thrice = [row | {"id": row["id"] + more} for more in ("", "-1", "-2") for row in rows]
+    write_rows(one_strip / "targets.csv", thrice)
+    stopped_run(tmp_path / "out", [one_strip], finished[1])  # exposures need not be made again
+    told = ran("calibrate", one_strip, "--out", tmp_path / "out", "--workers", 1, "--no-report").output
+    assert "24 targets: 24 given twice" in told, told
+    results = (tmp_path / "out", finished[1])
+    content, once = (json.loads((folder / "installation.json").read_text()) for folder in results)
+    assert content["targets"] == once["targets"] == 12
+    # The same sightings: what is given twice makes no matrix more certain, nor another one.
+    assert np.array_equal(content["covariance_rad2"], once["covariance_rad2"])
+    assert np.array_equal(content["R_cs"], once["R_cs"])

@@ -1,4 +1,6 @@
-"""Inputs moved by prediction: against ERFA, and against what the residuals then do."""
+"""Inputs moved by prediction: against ERFA, and against what the residuals then do. Motion that no star
+exposure shows is a finding, with what is assumed of it.
+"""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -8,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from boresight.calib.finding import MOST_WORDS
 from boresight.calib.hypotheses import HypothesisInputs, MovedInput, hypotheses
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
@@ -16,6 +19,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.starlight import with_all_aberration
 from boresight.pipeline.diagnosis import moved_inputs
+from boresight.pipeline.diagnosis.input_findings import assumed_motion
 from boresight.pipeline.diagnosis.moved_inputs import _line_of_sight, _turns
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_sky_strips, draw_strips
 
@@ -127,3 +131,20 @@ def test_a_moved_input_changes_the_residuals_as_its_column_says():
     after = [prepare_strip(stated_otherwise(one), SETTINGS) for one in strips]
     change = [-(b.v_s - a.v_s) @ BOLD.as_matrix().T for a, b in zip(prepared, after)]
     assert np.abs(column - np.concatenate(change)).max() < 1e-3 * size
+
+
+STATED = CalibrationSettings(sigma_motion_rad=6.0 * ARCSEC, motion_time_s=0.8)
+
+
+@pytest.mark.parametrize(("exposures", "told"), [(2, True), (3, False), (10, False)])
+def test_with_two_exposures_a_strip_the_assumed_motion_is_told(exposures: int, told: bool) -> None:
+    plan = StripPlan(strips=2, exposures=exposures)
+    strips, _ = draw_strips(plan, CameraPair(Rotation.identity()), np.random.default_rng(1))
+    fitted = with_attitudes(strips, STATED.attitudes)
+    found = list(assumed_motion(fitted, STATED))
+    assert len(found) == told
+    assert not list(assumed_motion(fitted, replace(STATED, sigma_motion_rad=0.0)))
+    for one in found:
+        assert "6″ within 0.8 s are assumed" in one.text and "motion_arcsec" in one.field
+        assert not one.is_fault and not one.refutes
+        assert len(f"{one.cause} {one.item} {one.text}".split()) <= MOST_WORDS

@@ -1,4 +1,4 @@
-"""What the terminal shows of a calibration, to the last printed digit."""
+"""What the terminal shows of a calibration and of its validation, to the last printed digit."""
 
 from itertools import pairwise
 from types import SimpleNamespace
@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.results import summary
 from boresight.pipeline.results.summary import blind_lines, calibration_summary, unit_effect, verdict_lines
+from boresight.pipeline.results.validate import CheckPoints, TruthErrors
 from boresight.records.ledger import Entry, Kind, Reason, Subject
 
 # A remote-sensing camera whose ends look 3 % and 4 % of the range, 0.05 in all, from its axis.
@@ -183,3 +184,30 @@ def test_refuting_checks_are_named_the_least_likely_first_with_what_to_look_at()
     assert lines[2].strip() == "t1 = t2, t5 = t6 = t7"
     assert lines[3].strip() == "look at: the orbit; the clocks"
     assert lines[4] == "  residuals of targets: 3745.25, expected 2130 (p 1.0e-09)"
+
+
+def points(along_m: list[float], across_m: list[float]) -> CheckPoints:
+    ids = np.array([f"p{k}" for k in range(len(along_m))])
+    other = dict.fromkeys(("lat_deg", "lon_deg", "up_m", "east_m", "north_m"), np.full(len(ids), 99.0))
+    track = {"along_m": np.array(along_m), "across_m": np.array(across_m)}
+    return CheckPoints(strip_id=ids, point_id=ids, **track, **other)
+
+
+def test_errors_before_and_after_are_told_with_their_units_in_their_places() -> None:
+    arcsec = {"error_rad": [0.5, -1.5, 6.0], "sigma_rad": [0.25, 1.0, 4.0]}
+    arcsec |= {"before_rad": [-600.0, 1200.0, 3000.0]}
+    ground = {"after": points([3.0, -4.0], [1.0, 7.0]), "before": points([300.0, -400.0], [100.0, 700.0])}
+    angles = {name: np.array(values) * ARCSEC for name, values in arcsec.items()}
+    errors = TruthErrors(nees=4.25, predicted=(), without=3, **angles, **ground)
+    lines = summary.validation_summary(errors).splitlines()
+    rows = {line[:26].strip(): [float(cell) for cell in line[26:].split()] for line in lines[1:6]}
+    assert rows["before, arcsec"] == [-600.0, 1200.0, 3000.0]
+    assert rows["after, arcsec"] == [0.5, -1.5, 6.0]
+    assert rows["stated 1 sigma, arcsec"] == [0.25, 1.0, 4.0]
+    assert rows["after, in sigmas"] == [2.0, -1.5, 1.5]
+    assert rows["NEES (3 is expected)"] == [4.25]
+    assert "2 check points" in lines[6] and lines[6].split()[-2:] == ["along", "across"]
+    ground = {line.split()[0]: [float(cell) for cell in line.split()[1:]] for line in lines[7:9]}
+    assert ground["after"] == pytest.approx([12.5**0.5, 5.0], abs=0.005)  # rms, two decimals
+    assert ground["before"] == pytest.approx([125_000.0**0.5, 500.0], abs=0.005)
+    assert lines[9].startswith("no position for 3 check points")
