@@ -91,10 +91,8 @@ def test_a_factor_of_the_velocities_is_found_below_the_noise_of_each_since_many_
         (OrbitFault.MIRRORED, "ITRF", "ITRF", [1.0, -1.0, 1.0]),
     ],
 )
-def test_states_of_other_axes_are_told_by_their_acceleration(
-    fault, true, stated, axes, tilt_deg, every
-):
-    t, p, v = ephemeris(true, *every, tilt_deg=inclination_deg)
+def test_states_of_other_axes_are_told_by_their_acceleration(fault, true, stated, axes, tilt_deg, every):
+    t, p, v = ephemeris(true, *every, inclination_deg=tilt_deg)
     noise = np.random.default_rng(2).normal(0.0, 0.05, v.shape)  # m/s, of a receiver
     found = find_orbit_fault(t, p * axes, v * axes + noise, stated)
     assert found is not None and found.fault is fault, found
