@@ -144,13 +144,14 @@ def test_a_dump_says_its_cameras_once_and_its_strips_name_them(seen, tmp_path):
     assert [strip.strip_id for strip in open_dump(dump, camera="right").strips] == ["s01-right"]
     strips, head = (dump / "strips.csv").read_text(), (dump / "dump.toml").read_text()
     only, one = head[: head.index("[[cameras]]")], '[files]\nremote_camera = "left.toml"'
+    middle = strips.replace(",right\n", ",middle\n")
     for file, text, says in (
+        ("strips.csv", middle, r"camera: found middle, expected one of .*: left, right"),
         (
-            "strips.csv",
-            strips.replace(",right\n", ",middle\n"),
-            "found middle, expected one of .*: left, right",
+            "dump.toml",
+            head.replace("[files]", one),
+            r"files.remote_camera and \[\[cameras\]\] exclude one another",
         ),
-        ("dump.toml", head.replace("[files]", one), r"remote_camera and \[\[cameras\]\] exclude one another"),
         ("dump.toml", only, "are both missing"),
         ("dump.toml", only.replace("[files]", one), "camera: found left, expected nothing"),
     ):
