@@ -28,7 +28,8 @@ sys.path.insert(0, str(record.ROOT / "tests" / "pipeline" / "faults"))
 
 import cv2  # isort: skip
 import numpy as np  # isort: skip
-from faults import change, edited, later, repaint, table, write
+from edits import repaint, rows_of, write_rows
+from faults import change, edited, later
 
 from PIL import Image  # isort: skip
 
@@ -90,10 +91,10 @@ def dead_ccd(dump: Path) -> None:
 
 
 def coordinate(dump: Path) -> None:
-    rows = table(dump / "targets.csv")
-    (row,) = [row for row in rows if row[0] == "s03-t06"]
-    row[1] = f"{float(row[1]) + COORDINATE_DEG:.10f}"
-    write(dump / "targets.csv", rows)
+    rows = rows_of(dump / "targets.csv")
+    (row,) = [row for row in rows if row["id"] == "s03-t06"]
+    row["lat_deg"] = f"{float(row['lat_deg']) + COORDINATE_DEG:.10f}"
+    write_rows(dump / "targets.csv", rows)
 
 
 def principal_point(dump: Path, moved_px: float = PRINCIPAL_PX) -> None:
@@ -105,15 +106,14 @@ def principal_point(dump: Path, moved_px: float = PRINCIPAL_PX) -> None:
 
 
 def height(dump: Path) -> None:
-    rows = table(dump / "targets.csv")
-    (row,) = [row for row in rows if row[0] == "s01-t08"]
-    row[3] = f"{float(row[3]) + 300.0:.3f}"
-    write(dump / "targets.csv", rows)
+    rows = rows_of(dump / "targets.csv")
+    (row,) = [row for row in rows if row["id"] == "s01-t08"]
+    row["height_m"] = f"{float(row['height_m']) + 300.0:.3f}"
+    write_rows(dump / "targets.csv", rows)
 
 
 def keep(dump: Path, ids: set[str]) -> None:
-    rows = table(dump / "targets.csv")
-    write(dump / "targets.csv", [rows[0], *(row for row in rows[1:] if row[0] in ids)])
+    write_rows(dump / "targets.csv", [row for row in rows_of(dump / "targets.csv") if row["id"] in ids])
 
 
 CORNER = {f"s0{s}-t0{t}" for s in (1, 2, 3) for t in (1, 2, 5)}

@@ -1,12 +1,14 @@
 """A dump of several remote-sensing cameras: a matrix each, from exposures that are counted once."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import invoked, ran
+from edits import replaced
 from fixture_strips import stopped_run
 from scipy.spatial.transform import Rotation
 from two_cameras import two_cameras
@@ -127,52 +129,46 @@ def test_what_if_and_compare_take_one_of_several_cameras(seen: tuple[Path, Path]
         now = np.array(said["covariance_now_rad2"])
         np.testing.assert_allclose(now, one["covariance_rad2"], rtol=0, atol=1e-6 * now.max())
     assert "found nothing, expected one of left, right" in refused("what-if", seen[1])
-    alone = json.loads(ran("compare", seen[1] / "right", seen[1], "--camera", "right", "--json").stdout)[
-        "result"
-    ]
-    off = theta_between(
-        Rotation.from_quat(right["quaternion"]), Rotation.from_quat(content(seen[1] / "right")["quaternion"])
-    )
+    told = ran("compare", seen[1] / "right", seen[1], "--camera", "right", "--json").stdout
+    alone, by_itself = json.loads(told)["result"], content(seen[1] / "right")
+    off = theta_between(*(Rotation.from_quat(one["quaternion"]) for one in (right, by_itself)))
     np.testing.assert_allclose(np.abs(alone["theta_c_rad"]), np.abs(off), rtol=0, atol=1e-9)
     assert alone["p_value"] > 1e-3  # the same observations, with those of the other camera
 
 
 def test_a_dump_says_its_cameras_once_and_its_strips_name_them(seen, tmp_path):
-    dump = tmp_path / "dump"
-    shutil.copytree(seen[0], dump)
+    dump = Path(shutil.copytree(seen[0], tmp_path / "dump"))
     assert [view.camera for view in open_cameras(dump)] == ["left", "right"]
     with pytest.raises(RawDataError, match="2 cameras, expected one of left, right"):
         open_dump(dump)
     assert [strip.strip_id for strip in open_dump(dump, camera="right").strips] == ["s01-right"]
     strips, head = (dump / "strips.csv").read_text(), (dump / "dump.toml").read_text()
-    (dump / "strips.csv").write_text(strips.replace(",right\n", ",middle\n"))
-    with pytest.raises(RawDataError, match=r"camera: found middle, expected one of .*: left, right"):
-        open_cameras(dump)
-    (dump / "strips.csv").write_text(strips)
-    (dump / "dump.toml").write_text(head.replace("[files]", '[files]\nremote_camera = "left.toml"'))
-    with pytest.raises(RawDataError, match=r"files.remote_camera and \[\[cameras\]\] exclude one another"):
-        open_cameras(dump)
-    only = head[: head.index("[[cameras]]")]
-    (dump / "dump.toml").write_text(only)
-    with pytest.raises(RawDataError, match="are both missing"):
-        open_cameras(dump)
-    (dump / "dump.toml").write_text(only.replace("[files]", '[files]\nremote_camera = "left.toml"'))
-    with pytest.raises(RawDataError, match="camera: found left, expected nothing"):
-        open_cameras(dump)
+    only, one = head[: head.index("[[cameras]]")], '[files]\nremote_camera = "left.toml"'
+    middle = strips.replace(",right\n", ",middle\n")
+    for file, text, says in (
+        ("strips.csv", middle, r"camera: found middle, expected one of .*: left, right"),
+        (
+            "dump.toml",
+            head.replace("[files]", one),
+            r"files.remote_camera and \[\[cameras\]\] exclude one another",
+        ),
+        ("dump.toml", only, "are both missing"),
+        ("dump.toml", only.replace("[files]", one), "camera: found left, expected nothing"),
+    ):
+        (dump / "strips.csv").write_text(strips)
+        (dump / file).write_text(text)
+        with pytest.raises(RawDataError, match=says):
+            open_cameras(dump)
 
 
 def test_a_camera_may_have_an_installation_file_of_its_own(seen: tuple[Path, Path], tmp_path: Path) -> None:
-    dump = tmp_path / "dump"
-    shutil.copytree(seen[0], dump)
+    dump = Path(shutil.copytree(seen[0], tmp_path / "dump"))
     turned = Rotation.from_euler("xyz", [20.0, -5.0, 80.0], degrees=True)
-    own = (dump / "installation.toml").read_text().splitlines()
-    at = next(n for n, line in enumerate(own) if line.startswith("quaternion_cs"))
-    own[at] = f"quaternion_cs = {turned.as_quat().tolist()}"
-    (dump / "oblique.toml").write_text("\n".join(own) + "\n")
-    head = (dump / "dump.toml").read_text()
-    (dump / "dump.toml").write_text(
-        head.replace('file = "right.toml"', 'file = "right.toml"\ninstallation = "oblique.toml"')
-    )
+    quaternion = f"quaternion_cs = {turned.as_quat().tolist()}"
+    common = (dump / "installation.toml").read_text()
+    (dump / "oblique.toml").write_text(re.sub(r"(?m)^quaternion_cs = .*$", quaternion, common))
+    stated = 'file = "right.toml"'
+    replaced(dump / "dump.toml", stated, f'{stated}\ninstallation = "oblique.toml"')
     left, right = open_cameras(dump)
     np.testing.assert_allclose(right.R_cs0.as_matrix(), turned.as_matrix(), atol=1e-12)  # rounding
     np.testing.assert_array_equal(left.R_cs0.as_quat(), open_cameras(seen[0])[0].R_cs0.as_quat())

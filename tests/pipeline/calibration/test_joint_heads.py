@@ -11,7 +11,7 @@ from command_line import ran
 from handmade_sentinel2 import write_sentinel2
 from scipy.spatial.transform import Rotation
 
-from boresight.features.operators.imported_mission import ImportedMission, write_imported
+from boresight.features.operators.imported_mission import ImportedMission, ImportedStrip, write_imported
 from boresight.features.operators.sentinel2_import import sentinel2_mission
 from boresight.features.operators.sentinel2_product import read_sentinel2
 from boresight.geometry.attitude import AttitudeTrack
@@ -36,18 +36,10 @@ def truth(dump: Dump) -> tuple[Pushbroom, tuple[Rotation, Rotation]]:
     """The camera as it is, carried by the first tracker, and the true matrices of both."""
     one, two = dump.heads
     assert isinstance(one.source, SolvedAttitudes)
-    strip, rows = dump.strips[0], one.source.rows
-    matrices = MOVED * one.R_cs0, MOVED * two.R_cs0
-    model = Pushbroom(
-        camera=dump.line_camera,
-        rows=strip.clock,
-        orbit=dump.orbit,
-        earth=dump.orbit.earth,
-        attitude=AttitudeTrack(rows.t_s, rows.R_si, dump.orbit),
-        R_cs=matrices[0],
-        effects=dump.light,
-    )
-    return model, matrices
+    rows, matrices = one.source.rows, (MOVED * one.R_cs0, MOVED * two.R_cs0)
+    motion = {"orbit": dump.orbit, "attitude": AttitudeTrack(rows.t_s, rows.R_si, dump.orbit)}
+    of_camera = {"camera": dump.line_camera, "rows": dump.strips[0].clock, "R_cs": matrices[0]}
+    return Pushbroom(**motion, **of_camera, earth=dump.orbit.earth, effects=dump.light), matrices
 
 
 def points(dump: Dump, model: Pushbroom, lines: np.ndarray, first: int, strip_id: str = "B04") -> str:
@@ -74,6 +66,11 @@ def imported(root: Path) -> tuple[ImportedMission, Dump]:
     return mission, open_dump(root / "plain")
 
 
+def part(strip: ImportedStrip, first: int, lines: int) -> ImportedStrip:
+    """So many lines of a strip, from one on."""
+    return replace(strip, t_first_row_s=strip.t_first_row_s + first * strip.row_period_s, lines=lines)
+
+
 @pytest.fixture(scope="module")
 def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[Rotation, Rotation]]:
     """The joint result of two dumps, and the true matrices."""
@@ -82,17 +79,12 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[Rotatio
     model, matrices = truth(plain)
     half = plain.strips[0].lines // 4
     for name, first in (("early", 0), ("late", half)):
-        strips = tuple(
-            replace(one, t_first_row_s=one.t_first_row_s + first * one.row_period_s, lines=half)
-            for one in mission.strips
-        )
+        strips = tuple(part(one, first, half) for one in mission.strips)
         lines = first + np.linspace(50.0, half - 50.0, 5)
         write_imported(root / name, replace(mission, strips=strips), points(plain, model, lines, first))
-        installation = {
-            "quaternion_cs": (ALONE * plain.heads[1].R_cs0).as_quat().tolist(),
-            "sigma_rad": [1e-3] * 3,
-        }
-        write_toml(root / name / "installation_STR2.toml", installation)
+        quaternion = (ALONE * plain.heads[1].R_cs0).as_quat().tolist()
+        stated = {"quaternion_cs": quaternion, "sigma_rad": [1e-3] * 3}
+        write_toml(root / name / "installation_STR2.toml", stated)
     # finding: the table of Earth orientation is made by hand
     ran("calibrate", root / "early", root / "late", "--out", root / "result", status=5)
     return root / "result", matrices
@@ -118,9 +110,7 @@ def blinded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Dump, tuple
     half = plain.strips[0].lines // 4
     begin = {"early": 0, "late": 2 * half}
     strips = tuple(
-        replace(one, strip_id=name, t_first_row_s=one.t_first_row_s + n * one.row_period_s, lines=half)
-        for name, n in begin.items()
-        for one in mission.strips
+        replace(part(one, n, half), strip_id=name) for name, n in begin.items() for one in mission.strips
     )
     lines = np.linspace(50.0, half - 50.0, 5)
     rows = [points(plain, model, n + lines, n, name).removeprefix(HEADER) for name, n in begin.items()]
@@ -136,10 +126,15 @@ def test_strip_that_only_the_second_tracker_covers_is_carried_by_it(blinded):
     result, dump, matrices = blinded
     installation = json.loads((result / "installation.json").read_text())
     assert installation["targets"] == 80  # 40 in each strip
+    assert_matrices(installation, matrices)
+    assert not [one for one in calibrate_dump(dump).omissions if one.subject.kind == "strip"]
+
+
+def assert_matrices(installation: dict, matrices: tuple[Rotation, Rotation]) -> None:
+    """Noiseless: what is left is second order in the 100 arc-seconds, and the priors' pull."""
     for n, (one, R_cs) in enumerate(zip(installation["heads"], matrices)):
         off = (Rotation.from_matrix(one["R_cs"]) * R_cs.inv()).as_rotvec() / ARCSEC
         assert np.all(np.abs(off) < 0.1 * sigma(installation, n)), (one["name"], off)
-    assert not [one for one in calibrate_dump(dump).omissions if one.subject.kind == "strip"]
 
 
 def sigma(installation: dict, head: int) -> np.ndarray:
@@ -151,10 +146,7 @@ def test_both_matrices_come_out_of_all_dumps_together(found):
     result, matrices = found
     joint = json.loads((result / "installation.json").read_text())
     assert [one["name"] for one in joint["heads"]] == ["STR1", "STR2"]
-    for n, (one, R_cs) in enumerate(zip(joint["heads"], matrices)):
-        off = (Rotation.from_matrix(one["R_cs"]) * R_cs.inv()).as_rotvec() / ARCSEC
-        # noiseless: what is left is second order in the 100 arc-seconds, and the priors' pull
-        assert np.all(np.abs(off) < 0.1 * sigma(joint, n)), (one["name"], off)
+    assert_matrices(joint, matrices)
 
 
 def test_errors_of_heads_that_come_back_with_the_orbit_are_told(found, tmp_path):

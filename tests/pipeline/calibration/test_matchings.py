@@ -34,8 +34,14 @@ def store(demo: Path, tmp_path: Path) -> UnitStore:
 
 
 @pytest.fixture(scope="module")
-def all_searched(tasks: list[StripTask]) -> list[MatchedTargets]:
-    return match_strips(tasks, StageRunner(), "matching-0")
+def searches(tmp_path_factory: pytest.TempPathFactory) -> UnitStore:
+    """Strips that were searched once are not searched again."""
+    return UnitStore(tmp_path_factory.mktemp("searches"))
+
+
+@pytest.fixture(scope="module")
+def all_searched(tasks: list[StripTask], searches: UnitStore) -> list[MatchedTargets]:
+    return match_strips(tasks, StageRunner(searches), "matching-0")
 
 
 def test_measured_points_beyond_the_horizon_are_left_out_whatever_their_direction(tasks):
@@ -78,9 +84,10 @@ def test_strips_that_a_wrong_matrix_misses_are_searched(tasks, all_searched):
         assert np.array_equal(one.target_id, expected.target_id) and np.array_equal(one.xy_px, expected.xy_px)
 
 
-def test_search_goes_on_until_a_strip_determines_a_matrix(tasks, all_searched):
-    used, matched = match_first(tasks, lambda task, found: None, StageRunner())
-    assert used == tasks
+def test_search_goes_on_until_a_strip_determines_a_matrix(tasks, all_searched, searches):
+    runner = StageRunner(searches)
+    used, matched = match_first(tasks, lambda task, found: None, runner)
+    assert used == tasks and runner.computed == {False: 3}
     assert [len(one.target_id) for one in matched] == [len(one.target_id) for one in all_searched]
 
 

@@ -58,10 +58,9 @@ def test_quiet_leaves_one_line_of_an_answer_that_has_one() -> None:
 
 def test_the_outcome_of_a_verdict_has_its_colour_and_no_other_word_has_one() -> None:
     assert {one.value for one in Outcome} == set(COLOURS)
-    plain = "verdict                   consistent, findings: 1 input looks wrong\nnot consistent: a remark"
-    assert coloured(plain) == plain.replace(
-        "consistent, findings", "\x1b[33m\x1b[1mconsistent, findings\x1b[0m"
-    )
+    plain = "verdict                   {}: 1 input looks wrong\nnot consistent: a remark"
+    outcome = "consistent, findings"
+    assert coloured(plain.format(outcome)) == plain.format(f"\x1b[33m\x1b[1m{outcome}\x1b[0m")
     assert coloured("refuted -> out") == "\x1b[31m\x1b[1mrefuted\x1b[0m -> out"
 
 
@@ -142,13 +141,8 @@ def test_json_is_one_object_and_nothing_else_on_stdout() -> None:
     assert (answer["command"], answer["exit_status"], answer["files"]) == ("work", 1, ["a.csv"])
     assert answer["result"] == {"n": None} and answer["error"] is None
     error = json.loads(runner.invoke(worker, ["--json", "--status", "9"]).stdout)["error"]
-    assert error == {
-        "file": "a.csv",
-        "field": "line 2",
-        "found": "x",
-        "expected": "a number",
-        "message": "a.csv: line 2: found x, expected a number",
-    }
+    parts = {"file": "a.csv", "field": "line 2", "found": "x", "expected": "a number"}
+    assert error == parts | {"message": "a.csv: line 2: found x, expected a number"}
 
 
 @pytest.mark.parametrize("name", ["status", "dump check", "remote-camera-calibrate"])
@@ -171,9 +165,8 @@ def test_help_has_an_example_and_no_line_is_broken(command: list[str], width: in
     assert ran.exit_code == 0
     assert f"Example:\n    boresight {' '.join(name)}" in ran.stdout
     assert max(map(len, ran.stdout.splitlines())) <= width
-    assert all(
-        f"  {option}" in ran.stdout or f", {option}" in ran.stdout for option in ("--quiet", "--log-file")
-    )
+    for option in ("--quiet", "--log-file"):
+        assert f"  {option}" in ran.stdout or f", {option}" in ran.stdout
 
 
 def test_long_lines_are_broken_between_words_on_a_terminal_only(monkeypatch: pytest.MonkeyPatch) -> None:

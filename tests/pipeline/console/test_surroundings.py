@@ -73,9 +73,8 @@ def test_result_folder_of_a_name_that_is_no_text_is_refused(one_strip, tmp_path,
 def test_name_that_a_library_cannot_take_is_one_line(capsys: pytest.CaptureFixture) -> None:
     with pytest.raises(SystemExit) as left, errors_reported():
         NO_TEXT.encode()
-    assert (
-        left.value.code == 1 and "n\\udcf6t text: a name that is not text in UTF-8" in capsys.readouterr().err
-    )
+    says = "n\\udcf6t text: a name that is not text in UTF-8"
+    assert left.value.code == 1 and says in capsys.readouterr().err
     with pytest.raises(UnicodeEncodeError), errors_reported():  # a fault of the program
         "ö".encode("ascii")
 

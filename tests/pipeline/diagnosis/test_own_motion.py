@@ -20,16 +20,12 @@ N, STEP_S = 26, 2.4
 TIMES_S = 311.0 + STEP_S * np.arange(N)
 NAMES = [f"x{k:02d}" for k in range(N)]
 ORBIT = SimpleNamespace(R_oi=lambda t_s: Rotation.from_rotvec(np.outer(t_s, [2e-4, -1.0e-3, 3e-4])))
-HEAD = SimpleNamespace(
-    name="STR7",
-    source=None,
-    noise=None,
-    noise_is_assumed=False,
-    R_cs0=Rotation.identity(),
-    sigma_installation_rad=0.0,
-    gyro=None,
-    times_in=("exposures.csv", "utc_mid"),
-)
+MOUNTED = {
+    "R_cs0": Rotation.identity(),
+    "sigma_installation_rad": 0.0,
+    "times_in": ("exposures.csv", "utc_mid"),
+}
+HEAD = SimpleNamespace(name="STR7", source=None, noise=None, noise_is_assumed=False, gyro=None, **MOUNTED)
 MOUNTING = Rotation.from_euler("xyz", [-35.0, 70.0, 115.0], degrees=True)
 
 
@@ -49,10 +45,8 @@ def findings(R_si: Rotation, usable: np.ndarray | None = None, sigma_rad: float 
         solved = replace(solved, usable=usable)
     heads = [HeadSightings(head=HEAD, stars=stars, attitudes=solved, omissions=())]
     if beside is not None:  # attitudes of a second head
-        solved = solved_attitudes(beside, solved.covariance_s)
-        heads.append(
-            replace(heads[0], head=SimpleNamespace(**vars(HEAD) | {"name": "STR8"}), attitudes=solved)
-        )
+        other = SimpleNamespace(**vars(HEAD) | {"name": "STR8"})
+        heads.append(replace(heads[0], head=other, attitudes=solved_attitudes(beside, solved.covariance_s)))
     return against_own_motion(heads)
 
 
@@ -81,9 +75,7 @@ def test_exposures_in_each_others_place_are_named(order, items):
     assert {(one.file, one.field) for one in told} == {("exposures.csv", "file")}
 
 
-@pytest.mark.parametrize(
-    ("draws", "turn_s"), [(200, None), (50, TIMES_S[6] + 0.3)]
-)  # the latter: a manoeuvre
+@pytest.mark.parametrize(("draws", "turn_s"), [(200, None), (50, TIMES_S[6] + 0.3)])  # or a manoeuvre
 def test_exposures_in_order_have_no_finding(draws, turn_s):
     assert [findings(attitudes(seed, turn_s=turn_s)) for seed in range(draws)] == [[]] * draws
 
@@ -150,31 +142,20 @@ def gyro_of(true, t_s, rng) -> GyroRecord:
 
 
 def record_of(
-    seed,
-    rate,
-    *,
-    strips=3,
-    rows=14,
-    late_s=0.0,
-    scatter=1.0,
-    step_s=0.2,
-    wobble_arcsec=40.0,
-    wobble_s=1.7,
-    with_gyro=False,
+    seed, rate, *, strips=3, rows=14, late_s=0.0, scatter=1.0, step_s=0.2, wobble=(40.0, 1.7), with_gyro=False
 ):
     """Attitudes of strips with errors of NOISE: a rotation about any axis 50 to 85 degrees from the line
-    of sight, about which a head is eight times worse, and a slow oscillation on top.
+    of sight, about which a head is eight times worse, and a slow oscillation `wobble` (arcsec, s) on top.
     `late_s` (K,) is by how much later than stated each attitude was taken.
     """
     rng = np.random.default_rng(seed)
     t_s = np.concatenate([40.0 * n + step_s * np.arange(rows) for n in range(strips)])
-    axis = NOISE.R_sn.apply(
-        Rotation.from_euler("zy", rng.uniform([0.0, 0.9], [6.2, 1.5])).apply([0.0, 0.0, 1.0])
-    )
-    phase, size = rng.uniform(0.0, 6.0), wobble_arcsec * ARCSEC * rng.normal(size=3)
+    oblique = Rotation.from_euler("zy", rng.uniform([0.0, 0.9], [6.2, 1.5]))
+    axis = NOISE.R_sn.apply(oblique.apply([0.0, 0.0, 1.0]))
+    phase, size = rng.uniform(0.0, 6.0), wobble[0] * ARCSEC * rng.normal(size=3)
 
     def true(at):
-        slow = np.outer(np.sin(at / wobble_s + phase), size)
+        slow = np.outer(np.sin(at / wobble[1] + phase), size)
         steady = Rotation.from_rotvec(np.outer(at, np.radians(rate) * axis))
         return Rotation.from_rotvec(slow) * steady * MOUNTING
 
@@ -187,14 +168,9 @@ def record_of(
     gyro = gyro_of(true, t_s, rng) if with_gyro else None
     own = {"source": ROWS, "noise": NOISE, "subject": subject, "gyro": gyro, "times_in": (ROWS.file, "utc")}
     head = SimpleNamespace(**{**vars(HEAD), **own})
-    return HeadSightings(
-        head=head,
-        stars=stars,
-        attitudes=solved_attitudes(
-            Rotation.from_rotvec(drawn) * R_si, np.tile(NOISE.white_covariance_s, (len(t_s), 1, 1))
-        ),
-        omissions=(),
-    )
+    white = np.tile(NOISE.white_covariance_s, (len(t_s), 1, 1))
+    solved = solved_attitudes(Rotation.from_rotvec(drawn) * R_si, white)
+    return HeadSightings(head=head, stars=stars, attitudes=solved, omissions=())
 
 
 @pytest.mark.parametrize("rate", RATES_DEG_S.values(), ids=RATES_DEG_S)
@@ -219,11 +195,7 @@ def test_sound_attitudes_of_a_moving_satellite_have_no_finding():
 @pytest.mark.parametrize("seed", range(10))
 def test_rows_that_scatter_more_than_stated_are_told_as_noise_or_as_both(seed):
     (told,) = against_own_motion([record_of(seed, 0.061, scatter=3.0, rows=20)])
-    assert "errors of attitudes" in (
-        told.cause,
-        *told.rivals,
-        *(one.partition(",")[0] for one in told.rivals),
-    )
+    assert "errors of attitudes" in (told.cause, *(one.partition(",")[0] for one in told.rivals))
     assert told.refutes
 
 
@@ -282,7 +254,7 @@ def test_exposures_that_were_uneven_have_no_finding():
 
 # --- With a gyro
 
-FAST = {"wobble_arcsec": 90.0, "wobble_s": 0.3, "rows": 20, "with_gyro": True}  # period of 1.9 s
+FAST = {"wobble": (90.0, 0.3), "rows": 20, "with_gyro": True}  # period of 1.9 s
 
 
 @pytest.mark.parametrize("late_s", [-0.05, 0.05])

@@ -10,13 +10,9 @@ from edits import rows_of, write_rows
 
 from boresight.calib.finding import MOST_WORDS
 from boresight.pipeline.calibration.calibrate import DumpCalibration
+from boresight.pipeline.diagnosis import unused_rows
 from boresight.pipeline.diagnosis.input_findings import outside_chips
-from boresight.pipeline.diagnosis.unused_rows import (
-    Rows,
-    unneeded_exposures,
-    unseen_targets,
-    without_measurement,
-)
+from boresight.pipeline.diagnosis.unused_rows import Rows, unneeded_exposures, unseen_targets
 from boresight.pipeline.files.coordinate_slips import likeliest, slips
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.results.writing import verdict_json
@@ -104,23 +100,19 @@ def test_slips_of_every_kind_are_found(stated, meant, words):
 def test_rows_that_nothing_needs_are_counted(calibration, finished):
     dump = open_dump(finished[0])
     assert dump.listed == {"targets": 12, "points": 0, "strips": 1, "exposures": 14}
-    assert [str(one) for one in calibration.rows] == [
-        "12 of 12 targets",
-        "1 of 1 strips",
-        "14 of 14 exposures",
-    ]
+    told = ["12 of 12 targets", "1 of 1 strips", "14 of 14 exposures"]
+    assert [str(one) for one in calibration.rows] == told
     assert "used" not in verdict_json(calibration.verdict, calibration.rows)["sentence"]
     partly = verdict_json(calibration.verdict, [Rows("targets", 35, 36), Rows("strips", 3, 3)])
     assert partly["sentence"].endswith("; used: 35 of 36 targets")
     assert unneeded_exposures(dump, 1.0) == []
-    assert [one.subject.name for one in unneeded_exposures(dump, 0.3)] == [
-        "e0001",
-        "e0014",
-    ]  # 0.4 s outside the strip
+    outside = [one.subject.name for one in unneeded_exposures(dump, 0.3)]
+    assert outside == ["e0001", "e0014"]  # 0.4 s outside the strip
 
 
 def test_a_ccd_without_a_measurement_has_its_reason(calibration: DumpCalibration) -> None:
     (task,), (matched,) = calibration.tasks, calibration.matched
+    without_measurement = unused_rows.without_measurement
     assert without_measurement([task.strip], [matched]) == []
     elsewhere = replace(matched, ccd=np.where(matched.ccd == 2, 1, matched.ccd))
     (empty,) = without_measurement([task.strip], [elsewhere])

@@ -13,19 +13,21 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from edits import rows_of, write_rows
 from faults import (
     LATE,
     Facts,
     Fault,
+    Row,
+    change,
     edited,
     faults_of,
     ground_moved,
-    repaint,
+    mistake,
+    painted,
     rows_late,
     sized,
-    table,
-    write,
-    write_text,
+    turned_by,
 )
 from scipy.spatial.transform import Rotation
 
@@ -35,8 +37,6 @@ __all__ = ["both", "by_kind", "drawn"]
 CONVENTIONS, TWO_AT_ONCE = 0.25, 0.15
 NO_SIZE = ("", "sign", "pair", "day", "strip", "files", "times", "targets", "a strip", "deg")
 CURVED = "curved|row|clock|drift|bends"
-Q = ("qx", "qy", "qz", "qw")
-Row = dict[str, str]
 # How an error goes with the part of a strip or of a CCD, 0 to 1, that has passed; `at` is where it steps.
 PROFILES: dict[str, Callable[[float, float], float]] = {
     "constant": lambda part, at: 1.0,
@@ -62,11 +62,9 @@ def drawn(root: Path, seed: int, n: int) -> Fault:
     if (what := rng.random()) < CONVENTIONS:
         return one(sorted(kinds.keys() - set(with_size)))
     first = one(with_size)
-    return (
-        first
-        if what > CONVENTIONS + TWO_AT_ONCE
-        else both(first, one([kind for kind in with_size if kind != first.kind]))
-    )
+    if what > CONVENTIONS + TWO_AT_ONCE:
+        return first
+    return both(first, one([kind for kind in with_size if kind != first.kind]))
 
 
 def by_kind(root: Path, rng: np.random.Generator) -> dict[str, list[Fault]]:
@@ -85,18 +83,9 @@ def both(first: Fault, second: Fault) -> Fault:
         second.make(dump)
 
     blind = "|".join(one.blind for one in (first, second) if one.blind)
-    return Fault(
-        kind="two at once",
-        item=f"{first.name} and {second.name}",
-        size=2,
-        unit="faults",
-        times=max(first.times, second.times),
-        make=make,
-        words=first.words,
-        blind=blind,
-        own=first.own + second.own,
-        other_words=second.words,
-    )
+    of = {"size": 2, "unit": "faults", "times": max(first.times, second.times), "blind": blind}
+    item, own = f"{first.name} and {second.name}", first.own + second.own
+    return mistake("two at once", item, make, first.words, own, other_words=second.words, **of)
 
 
 def _profiles(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
@@ -104,12 +93,12 @@ def _profiles(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         yield from _of_points(facts, rng)
     if facts.images:
         yield from _of_lines(facts, rng)
-    if facts.listed and facts.of_ground:
+    if facts.listed and facts.of_kind("ground"):
         yield from _of_ground(facts, rng)
     if facts.heads:
         yield from _of_mounting(facts, rng)
     yield from _of_instants(facts, rng)
-    if facts.of_sky:
+    if facts.of_kind("sky"):
         yield from _of_catalogue(facts, rng)
 
 
@@ -159,8 +148,7 @@ def _of_points(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         times, factor = sized(3.0, rng, 10.0)
         make = partial(_scattered, strips, abs(factor), int(rng.integers(1 << 30)))
         words = (any_of(of_strip) if strips is of_strip else "", "residual|noise|errors|scatter|contradict")
-        own = ("*",)
-        yield Fault("noise of points", place, abs(factor), "times", times, make, words, "", own)
+        yield Fault("noise of points", place, abs(factor), "times", times, make, words, "", ("*",))
 
 
 def _points(
@@ -174,16 +162,16 @@ def _points(
     dump: Path,
 ) -> None:
     """Points of some strips, in one CCD or all, moved along a profile over lines or samples."""
-    header, *rows = table(dump / "points.csv")
-    cells = [dict(zip(header, row)) for row in rows]
+    rows = rows_of(dump / "points.csv")
     for strip in strips:
-        own = [one for one in cells if one["strip"] == strip and (ccd is None or one["ccd"] == str(ccd))]
-        where = [float(one[over]) for one in cells if one["strip"] == strip]
+        own = [one for one in rows if one["strip"] == strip]
+        where = [float(one[over]) for one in own]
         low, wide = min(where), max(max(where) - min(where), 1.0)
         for one in own:
-            part = (float(one[over]) - low) / wide
-            one[column] = repr(float(one[column]) + size * PROFILES[profile](part, at))
-    write(dump / "points.csv", [header, *([one[key] for key in header] for one in cells)])
+            if ccd is None or one["ccd"] == str(ccd):
+                part = (float(one[over]) - low) / wide
+                one[column] = repr(float(one[column]) + size * PROFILES[profile](part, at))
+    write_rows(dump / "points.csv", rows)
 
 
 def _scattered(strips: tuple[str, ...], factor: float, seed: int, dump: Path) -> None:
@@ -217,10 +205,6 @@ def _of_lines(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     def flat(value: int, image: np.ndarray) -> np.ndarray:
         return np.full_like(image, np.iinfo(image.dtype).max if value else 3)
 
-    def painted(ccds: tuple[int, ...], paint: Callable[[np.ndarray], np.ndarray], dump: Path) -> None:
-        for one in ccds:
-            repaint(dump / f"strips/{strip}_ccd{one}.tif", paint)
-
     everything = (strip, *(f"CCD {n}" for n in every))
     for kind, ccds, own, words in (
         ("lines lost", every, everything, (any_of((strip,)), "line|row|clock|image")),
@@ -228,11 +212,11 @@ def _of_lines(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     ):
         times, size = sized(1.0, rng, 20.0)
         n = round(size) or 1
-        make = partial(painted, ccds, partial(lines, n))
+        make = partial(painted, (strip,), ccds, partial(lines, n))
         yield Fault(kind, strip, n, "rows", times, make, words, strip, own)
     for kind, value in (("strip saturated", 1), ("strip dark", 0)):
-        make = partial(painted, every, partial(flat, value))
-        yield Fault(kind, strip, 1, "strip", 30.0, make, (any_of((strip,)),), "", everything)
+        make = partial(painted, (strip,), every, partial(flat, value))
+        yield mistake(kind, strip, make, (any_of((strip,)),), everything, unit="strip")
 
 
 # ---- ground ----
@@ -243,23 +227,15 @@ def _of_ground(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     in_chips = (
         facts.listed == "targets.csv"
     )  # then a target is another point of its chip, and seen where it is
-    for place, strips in several(facts, facts.of_ground, rng).items():
+    for place, strips in several(facts, facts.of_kind("ground"), rng).items():
         for axis, smallest in (("height", 60.0), ("east", 15.0), ("north", 15.0)):
             times, metres = sized(smallest, rng, 10.0)
             words = (any_of(strips), "height|datum|ground|orbit|clock|attitude|coordinates")
             make = partial(ground_moved, facts.listed, strips, axis, metres)
-            yield Fault(
-                f"ground {axis} {place}".strip(),
-                "/".join(strips[:3]),
-                metres,
-                "m",
-                times,
-                make,
-                words,
-                any_of(strips),
-                (*strips, *facts.ground) if in_chips else strips,
-                harmless=in_chips and axis != "height",
-            )
+            kind, item = f"ground {axis} {place}".strip(), "/".join(strips[:3])
+            of = {"size": metres, "unit": "m", "times": times, "blind": any_of(strips)}
+            own, harmless = (*strips, *facts.ground) if in_chips else strips, in_chips and axis != "height"
+            yield mistake(kind, item, make, words, own, harmless=harmless, **of)
 
 
 # ---- attitudes and mounting ----
@@ -296,8 +272,9 @@ def _of_mounting(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
 
 def _turned(facts: Facts, axis: int, arcsec: float, profile: str, k: int, dump: Path) -> None:
     """The camera turned about an axis of c against every head: attitudes turn the other way about it."""
-    first = {row[0]: row for row in reversed(table(dump / "strips.csv")[1:])}
-    begins = sorted((row[3], float(row[4]) * float(row[5])) for row in first.values())
+    first = {row["id"]: row for row in reversed(rows_of(dump / "strips.csv"))}
+    long = {name: float(row["row_period_s"]) * float(row["lines"]) for name, row in first.items()}
+    begins = sorted((row["utc_first_row"], long[name]) for name, row in first.items())
     for head in facts.heads:
         quaternion = tomllib.loads((dump / f"installation_{head}.toml").read_text())["quaternion_cs"]
         axis_h = Rotation.from_quat(quaternion).inv().apply(np.eye(3)[axis])
@@ -314,9 +291,7 @@ def _turned(facts: Facts, axis: int, arcsec: float, profile: str, k: int, dump: 
                 "drift in": (2.0 * part - 1.0) * (n == k),
                 "bend": 4.0 * part * (1.0 - part),
             }[profile]
-            turn = Rotation.from_rotvec(np.radians(arcsec * size / 3600.0) * axis_h)
-            q = Rotation.from_quat([float(row[key]) for key in Q]) * turn
-            row.update(zip(Q, map(repr, q.as_quat().tolist())))
+            turned_by(row, Rotation.from_rotvec(np.radians(arcsec * size / 3600.0) * axis_h))
 
         edited(f"{head}.csv", edit, dump)
 
@@ -329,9 +304,7 @@ def _noisy(head: str, factor: float, seed: int, dump: Path) -> None:
     white = np.radians(np.array(heads[head]["noise"]["white_arcsec"]) / 3600.0)
 
     def edit(row: Row) -> None:
-        turn = Rotation.from_rotvec(factor * white * rng.standard_normal(3))
-        q = Rotation.from_quat([float(row[key]) for key in Q]) * turn
-        row.update(zip(Q, map(repr, q.as_quat().tolist())))
+        turned_by(row, Rotation.from_rotvec(factor * white * rng.standard_normal(3)))
 
     edited(f"{head}.csv", edit, dump)
 
@@ -350,17 +323,13 @@ def _of_instants(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         def cut(dump: Path, file: str = file, column: str = column, step_s: float = abs(step_s)) -> None:
             edited(file, lambda row: row.update({column: _cut(row[column], step_s)}), dump)
 
-        name = file.removesuffix(".csv")
-        words = ("clock|time|late|early|instants|utc|exposures",)
-        own = ("*",)
-        yield Fault("times cut", name, 1e3 * abs(step_s), "ms", times, cut, words, LATE, own)
+        name, words = file.removesuffix(".csv"), ("clock|time|late|early|instants|utc|exposures",)
+        yield Fault("times cut", name, 1e3 * abs(step_s), "ms", times, cut, words, LATE, ("*",))
     for place, strips in several(facts, facts.strips, rng).items():
         if place:
             times, ms = sized(2.0, rng)
-
-            late = partial(rows_late, strips, 1e-3 * ms)
+            late, item = partial(rows_late, strips, 1e-3 * ms), "/".join(strips[:3])
             words = (any_of(strips), LATE + "|mounting|attitude")
-            item = "/".join(strips[:3])
             yield Fault(f"clock {place}", item, ms, "ms", times, late, words, any_of(strips), strips)
 
 
@@ -417,10 +386,6 @@ def _catalogue(kind: str, size: float, dump: Path) -> None:
     }
     columns |= dict.fromkeys(("ra_error", "dec_error"), survey.sigma_rad / MAS)
     columns |= dict.fromkeys(("pmra_error", "pmdec_error"), survey.sigma_pm_rad_yr / MAS)
-    lines = [
-        ",".join(columns),
-        *(",".join(map(repr, row)) for row in zip(*(c.tolist() for c in columns.values()))),
-    ]
-    (dump / "stars.csv").write_text("\n".join(lines) + "\n")
-    text = (dump / "dump.toml").read_text()
-    write_text(dump / "dump.toml", text.replace("[files]\n", '[files]\nstar_catalogue = "stars.csv"\n'))
+    rows = (",".join(map(repr, row)) for row in zip(*(c.tolist() for c in columns.values())))
+    (dump / "stars.csv").write_text("\n".join([",".join(columns), *rows]) + "\n")
+    change(dump / "dump.toml", r"\[files\]\n", '[files]\nstar_catalogue = "stars.csv"\n')

@@ -17,7 +17,7 @@ import tifffile
 from astropy.io import fits
 from PIL import Image
 
-__all__ = ["FORMATS", "differs", "mutated"]
+__all__ = ["FORMATS", "differs", "mutated", "with_checksums"]
 
 WIDTH, HEIGHT = 44, 38
 _RNG = np.random.default_rng(11)
@@ -109,17 +109,14 @@ FORMATS: dict[str, Callable[[], list[bytes]]] = {
         _saved(Image.fromarray(COLOURS).convert("CMYK"), "JPEG"),
     ],
     "TIFF": lambda: [
-        _tiff(GREY),
-        _tiff(DEEP),
-        _tiff(GREY, compression="deflate", predictor=2),
-        _tiff(GREY, compression="deflate", tile=(16, 16)),
+        *(_tiff(image) for image in (GREY, DEEP)),
+        *(_tiff(GREY, compression="deflate", **how) for how in ({"predictor": 2}, {"tile": (16, 16)})),
         _saved(Image.fromarray(GREY), "TIFF", compression="tiff_lzw"),
         _tiff(COLOURS, photometric="rgb"),
         _saved(Image.fromarray(GREY), "TIFF", compression="packbits"),
     ],
     "BMP": lambda: [
-        _saved(Image.fromarray(GREY), "BMP"),
-        _saved(Image.fromarray(COLOURS), "BMP"),
+        *(_saved(Image.fromarray(image), "BMP") for image in (GREY, COLOURS)),
         _cv2(".bmp", COLOURS),
     ],
     "PGM, PPM": lambda: [
@@ -140,9 +137,7 @@ FORMATS: dict[str, Callable[[], list[bytes]]] = {
         _cv2(".jp2", DEEP),
     ],
     "FITS": lambda: [
-        _fits(fits.PrimaryHDU(GREY)),
-        _fits(fits.PrimaryHDU(DEEP)),
-        _fits(fits.PrimaryHDU(DEEP.astype(np.float32))),
+        *(_fits(fits.PrimaryHDU(image)) for image in (GREY, DEEP, DEEP.astype(np.float32))),
         _fits(fits.PrimaryHDU(), fits.ImageHDU(np.moveaxis(COLOURS, 2, 0))),
         _fits(fits.PrimaryHDU(), fits.CompImageHDU(DEEP.astype(np.int32), compression_type="RICE_1")),
         *(
@@ -163,10 +158,9 @@ def mutated(content: bytes, rng: random.Random) -> bytes:
         rows = _changed(zlib.decompress(content[at + 8 : at + 8 + length]), rng)
         stream = _chunk(b"IDAT", zlib.compress(rows, rng.choice((0, 1, 6))))
         return content[:at] + stream + content[at + 12 + length :]
-    raw = bytearray(_changed(content, rng))
-    if content.startswith(b"\x89PNG") and rng.random() < 0.8:
-        _mend_checksums(raw)
-    return bytes(raw)
+    raw = _changed(content, rng)
+    mended = content.startswith(b"\x89PNG") and rng.random() < 0.8
+    return with_checksums(raw) if mended else raw
 
 
 def _changed(content: bytes, rng: random.Random) -> bytes:
@@ -194,15 +188,17 @@ def _changed(content: bytes, rng: random.Random) -> bytes:
     return bytes(raw)
 
 
-def _mend_checksums(raw: bytearray) -> None:
-    at = 8
-    while at + 12 <= len(raw):
-        (length,) = struct.unpack_from(">I", raw, at)
+def with_checksums(raw: bytes) -> bytes:
+    """A PNG whose chunks have the right checksums again, so that what is in them is looked at."""
+    out, at = bytearray(raw), 8
+    while at + 12 <= len(out):
+        (length,) = struct.unpack_from(">I", out, at)
         end = at + 8 + length
-        if end + 4 > len(raw):
-            return
-        struct.pack_into(">I", raw, end, zlib.crc32(raw[at + 4 : end]))
+        if end + 4 > len(out):
+            break
+        struct.pack_into(">I", out, end, zlib.crc32(out[at + 4 : end]))
         at = end + 4
+    return bytes(out)
 
 
 def _by_pillow(content: bytes) -> np.ndarray | None:

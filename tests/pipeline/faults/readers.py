@@ -9,7 +9,6 @@ import json
 import random
 import shutil
 import tarfile
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -28,6 +27,7 @@ from astropy.io import fits
 from handmade import write_handmade_dump, write_strip
 from handmade_dimap import as_version_2, dimap_text
 from handmade_sentinel2 import DATASTRIP, SPAMOD, VIEDIR, write_sentinel2
+from image_mutants import with_checksums
 from rasters import write_raster
 from scipy.spatial.transform import Rotation
 
@@ -165,21 +165,13 @@ def _write_terrain(path: Path) -> None:
 
 def _write_result(result: Path) -> None:
     (result / "sightings").mkdir(parents=True)
-    content = {
-        "quaternion": [0.5, -0.5, 0.5, 0.5],
-        "theta_rad": [1e-3, 2e-3, 3e-3],
-        "covariance_rad2": np.diag([1e-12, 1e-12, 1e-11]).tolist(),
-        "settings": {"run": {"exposure_margin_s": 1.0}},
-        "version": "0.1.0",
-    }
+    content = {"quaternion": [0.5, -0.5, 0.5, 0.5], "theta_rad": [1e-3, 2e-3, 3e-3], "version": "0.1.0"}
+    content |= {"covariance_rad2": np.diag([1e-12, 1e-12, 1e-11]).tolist()}
+    content |= {"settings": {"run": {"exposure_margin_s": 1.0}}}
     (result / "installation.json").write_text(json.dumps(content))
-    exposures = {
-        "exposure_id": ["e1", "e2"],
-        "t_s": [0.0, 20.0],
-        "R_si": fixed_list(np.tile(np.eye(3), (2, 1, 1))),
-        "covariance_s": fixed_list(np.tile(1e-12 * np.eye(3), (2, 1, 1))),
-        "usable": [True, True],
-    }
+    matrices = {"R_si": np.eye(3), "covariance_s": 1e-12 * np.eye(3)}
+    exposures = {"exposure_id": ["e1", "e2"], "t_s": [0.0, 20.0], "usable": [True, True]}
+    exposures |= {name: fixed_list(np.tile(one, (2, 1, 1))) for name, one in matrices.items()}
     pq.write_table(pa.table(exposures), result / "sightings/exposures.parquet", write_page_checksum=True)
     R_cs = Rotation.from_quat([0.5, -0.5, 0.5, 0.5])
     pair = InformationPairs(np.array(["s1"]), 1e12 * np.eye(3)[None], np.zeros((1, 3)), R_cs)
@@ -196,21 +188,11 @@ def _write_units(folder: Path) -> None:
         exposure_id="e1", t_s=1.0, hip=hip, xy_px=rng.uniform(0, 99, (9, 2)), u_s=u, u_i=u, cov_s=cov
     )
     store.write("exposures", "e1", "0" * 32, *table_from_record(stars))
-    none, pairs = np.zeros(0), np.zeros((0, 2))
-    names, ccd = np.array([], dtype=str), np.zeros(0, dtype=np.int64)
-    matched = MatchedTargets(
-        strip_id="s1",
-        target_id=names,
-        ccd=ccd,
-        xy_px=pairs,
-        cov_px=np.zeros((0, 2, 2)),
-        correlation=none,
-        probability_wrong=none,
-        predicted_px=pairs,
-        affine=np.zeros((0, 2, 2)),
-        pictures=(),
-        omissions=(),
-    )
+    none = dict.fromkeys(("correlation", "probability_wrong"), np.zeros(0))
+    none |= dict.fromkeys(("xy_px", "predicted_px"), np.zeros((0, 2)))
+    none |= dict.fromkeys(("cov_px", "affine"), np.zeros((0, 2, 2)))
+    none |= {"target_id": np.array([], dtype=str), "ccd": np.zeros(0, dtype=np.int64)}
+    matched = MatchedTargets(strip_id="s1", pictures=(), omissions=(), **none)
     store.write("matching-1", "s1", "0" * 32, *table_from_record(matched))
 
 
@@ -459,18 +441,6 @@ def mutated(chance: random.Random, sound: bytes, text: bool) -> bytes:
     if raw.startswith(b"\x89PNG") and chance.random() < 0.7:
         return with_checksums(bytes(raw))
     return bytes(raw)
-
-
-def with_checksums(raw: bytes) -> bytes:
-    """A PNG whose chunks have the right checksums again, so that what is in them is looked at."""
-    out, at = bytearray(raw), 8
-    while at + 12 <= len(out):
-        length = int.from_bytes(out[at : at + 4], "big")
-        if at + 12 + length > len(out):
-            break
-        out[at + 8 + length : at + 12 + length] = zlib.crc32(out[at + 4 : at + 8 + length]).to_bytes(4, "big")
-        at += 12 + length
-    return bytes(out)
 
 
 def _set_byte(chance: random.Random, raw: bytearray) -> None:

@@ -19,8 +19,7 @@ import faults
 import numpy as np
 import pytest
 import rasterio
-from edits import repaint
-from PIL import Image
+from edits import repaint, rows_of, write_rows
 from scipy.spatial.transform import Rotation
 
 from boresight.calib.finding import MOST_WORDS
@@ -33,8 +32,8 @@ from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly
 from boresight.pipeline.results.folder import store_of
 
-change, edited, files_exchanged, later = faults.change, faults.edited, faults.files_exchanged, faults.later
-table, write = faults.table, faults.write
+change, changed_rows, edited = faults.change, faults.changed_rows, faults.edited
+files_exchanged, later, spread = faults.files_exchanged, faults.later, faults.spread
 STRIPS = ("s01", "s02", "s03")
 PITCH_MM = 0.12  # of a pixel of the remote-sensing camera
 CONSISTENT, FINDINGS, REFUTED = Outcome.CONSISTENT, Outcome.FINDINGS, Outcome.REFUTED
@@ -50,15 +49,9 @@ def right(sound: Path) -> DumpCalibration:
 
 
 @pytest.fixture
-def told(sound: Path, tmp_path: Path) -> Callable[[Make], DumpCalibration]:
+def told(with_fault) -> Callable[[Make], DumpCalibration]:
     """What a calibration of the points with a fault gives."""
-
-    def calibrated(make: Make) -> DumpCalibration:
-        fault_dumps.linked(sound, tmp_path / "dump")
-        make(tmp_path / "dump")
-        return calibrate_dump(open_dump(tmp_path / "dump"))
-
-    return calibrated
+    return partial(with_fault, "points")
 
 
 def number(file: str, key: str, edit: Callable[[float], float], which: int | None = None) -> Make:
@@ -80,17 +73,14 @@ def late(dump: Path, **ms: float) -> None:
 
 def second_ones_early(file: str, column: str, seconds: float, keep: int, dump: Path) -> None:
     """Rows of a table dated early in turn, of so many a strip, evenly over it; 0: of all."""
-    header, *rows = table(dump / file)
-    at, left = header.index(column), rows
-    if keep:
-        t_s = np.array([row[at] for row in rows], dtype="datetime64[ns]").astype(float) / 1e9
-        strips = np.split(np.arange(len(rows)), np.flatnonzero(np.diff(t_s) > 5.0) + 1)
-        left = [
-            rows[own[k]] for own in strips for k in np.linspace(0, len(own) - 1, keep).round().astype(int)
-        ]
-    for row in left[1::2]:
-        row[at] = later(row[at], -seconds)
-    write(dump / file, [header, *left])
+
+    def early(rows: list[Row]) -> list[Row]:
+        left = spread(keep, rows) if keep else rows
+        for row in left[1::2]:
+            row[column] = later(row[column], -seconds)
+        return left
+
+    changed_rows(file, early, dump)
 
 
 exposures_early = partial(partial, second_ones_early, "exposures.csv", "utc_mid", 0.04)
@@ -112,20 +102,20 @@ def two_at_once(dump: Path) -> None:
 
 
 def strips_exchanged(dump: Path) -> None:
-    ids = [row[0] for row in table(dump / "strips.csv")[1:]]
+    ids = [row["id"] for row in rows_of(dump / "strips.csv")]
     places = ([n for n, one in enumerate(ids) if one == strip] for strip in ("s01", "s02"))
     files_exchanged("strips.csv", zip(*places), dump)
 
 
 def ccds_exchanged(dump: Path) -> None:
     """The files of CCDs 0 and 1 in one strip."""
-    rows = [(row[0], row[1]) for row in table(dump / "strips.csv")[1:]]
-    files_exchanged("strips.csv", [(rows.index(("s02", "0")), rows.index(("s02", "1")))], dump)
+    places = [(row["id"], row["ccd"]) for row in rows_of(dump / "strips.csv")]
+    files_exchanged("strips.csv", [(places.index(("s02", "0")), places.index(("s02", "1")))], dump)
 
 
 def strips_again(dump: Path) -> None:
-    header, *rows = table(dump / "strips.csv")
-    write(dump / "strips.csv", [header, *rows, *([f"r-{row[0]}", *row[1:]] for row in rows)])
+    twice = lambda rows: [*rows, *(row | {"id": f"r-{row['id']}"} for row in rows)]  # noqa: E731
+    changed_rows("strips.csv", twice, dump)
 
 
 def painted(images: str, paint: Callable[[np.ndarray], np.ndarray], dump: Path) -> None:
@@ -205,7 +195,7 @@ def few_digits(dump: Path) -> None:
 
 def turned_away(dump: Path) -> None:
     """Attitudes of the exposures of a strip, of both heads, with which the camera looks past the Earth."""
-    begins = {row[0]: row[3] for row in table(dump / "strips.csv")[1:]}
+    begins = {row["id"]: row["utc_first_row"] for row in rows_of(dump / "strips.csv")}
     for head in ("STR1", "STR2"):
         stated = tomllib.loads((dump / f"installation_{head}.toml").read_text())["quaternion_cs"]
         turn = Rotation.from_rotvec(
@@ -218,6 +208,14 @@ def turned_away(dump: Path) -> None:
                 row.update(zip(("qx", "qy", "qz", "qw"), map(repr, q.as_quat().tolist())))
 
         edited(f"{head}.csv", edit, dump)
+
+
+def typo(dump: Path) -> None:
+    """Two digits of a longitude exchanged: no strip shows that place."""
+    rows = rows_of(dump / "targets.csv")
+    assert rows[3]["lon_deg"].startswith("103.01")
+    rows[3]["lon_deg"] = rows[3]["lon_deg"].replace("103.01", "103.10")
+    write_rows(dump / "targets.csv", rows)
 
 
 CLOCK, TIMES = "clock of the rows", "times of attitudes"
@@ -250,6 +248,9 @@ ROWS = [
         [("coordinates or chip", "target s03-t02", POINTS, None, r"beyond the horizon.*\(sign\) would fit")]),
     ("points", one_point("s02-t04", "lat_deg", lambda v: f"{float(v) + 17.0:.9f}"), FINDINGS,
         [("coordinates or chip", "target s02-t04", POINTS, None, "its refraction is not known")]),
+    ("ground", typo, FINDINGS,
+        [("coordinates or chip", "target s01-t04", "targets.csv", None,
+            r"km from the nearest strip, s01.*lon_deg 103\.01 for 103\.10 \(digits exchanged\)")]),
     ("ground", number(REMOTE, "x_offset_mm", lambda v: v + PITCH_MM, 0), REFUTED,
         [("place of a CCD, along the track", "CCD 0", REMOTE, 1.0, "")]),
     ("ground", number(REMOTE, "y_first_mm", lambda v: v + 5 * PITCH_MM, 2), FINDINGS,
@@ -349,16 +350,7 @@ def test_a_point_with_the_number_of_another_ccd_is_named_with_the_one_it_fits(to
 
 def thinned(dump: Path) -> None:
     for name in ("STR1.csv", "STR2.csv"):
-        header, *rows = table(dump / name)
-        write(dump / name, [header, *rows[::14]])
-
-
-def orbit_mirrored(dump: Path) -> None:
-    def edit(t_s: np.ndarray, p: np.ndarray, v: np.ndarray) -> None:
-        p[:, 2] *= -1.0
-        v[:, 2] *= -1.0
-
-    faults.states(edit, dump)
+        changed_rows(name, lambda rows: rows[::14], dump)
 
 
 def chips_shifted(dump: Path) -> None:
@@ -367,18 +359,11 @@ def chips_shifted(dump: Path) -> None:
 
 
 def geocentric(dump: Path) -> None:
-    header, *rows = table(dump / "targets.csv")
-    for row in rows:
-        lat = np.radians(float(row[1]))
-        row[1] = f"{np.degrees(np.arctan((1.0 - 0.00669438) * np.tan(lat))):.9f}"
-    write(dump / "targets.csv", [header, *rows])
+    def edit(row: Row) -> None:
+        lat = np.radians(float(row["lat_deg"]))
+        row["lat_deg"] = f"{np.degrees(np.arctan((1.0 - 0.00669438) * np.tan(lat))):.9f}"
 
-
-def stars_turned(dump: Path) -> None:
-    for path in (dump / "exposures").iterdir():
-        image = Image.open(path).rotate(180)
-        path.unlink()
-        image.save(path)
+    edited("targets.csv", edit, dump)
 
 
 REVERSED = r"^order of an image, strip s01: {} 12 of 12 targets are found, as stated none"
@@ -390,13 +375,14 @@ REVERSED = r"^order of an image, strip s01: {} 12 of 12 targets are found, as st
         ("ground", partial(painted, "*", np.fliplr), REVERSED.format("with the order of columns reversed")),
         ("ground", partial(painted, "*", np.flipud), REVERSED.format("with the order of rows reversed")),
         ("ground", partial(painted, "*", partial(np.rot90, k=2)), REVERSED.format("rotated by 180°")),
-        ("ground", stars_turned, "^axes of the star images.* rotated by 180° 3 of 3 strips see their"),
+        ("ground", partial(faults.redrawn, partial(np.rot90, k=2)),
+            "^axes of the star images.* rotated by 180° 3 of 3 strips see their"),
         ("ground", geocentric, "36 of 36 targets: they lie 2.* m south of the middle of their chips"),
         ("points", thinned, r"with run\.exposure_margin_s = \d+ those around it would"),
         ("points", number(REMOTE, "x_offset_mm", lambda v: 0.0),
             r"^place of a CCD, along the track, CCD \d:.*x_offset"),
         # No mistake of the attitudes explains it: each head by itself would be accused.
-        ("points", orbit_mirrored, r"^orbit\.oem: (?!.*STR)"),
+        ("points", partial(faults.orbit_mirrored, 2), r"^orbit\.oem: (?!.*STR)"),
         ("sky", partial(painted, "sky01_*", grey(255)),
             "^no strip can be used: strip sky01: grey level 255"),
         ("ground", chips_shifted, "36 of 36 targets: they lie 350 m east of the middle"),
@@ -430,8 +416,7 @@ def test_sizes_of_single_points_scatter_by_their_sigma(told, sound):
     """Of 24 points, two of each strip at a time, each 27.8 m off; the rms of 24 normal deviates is 0.7 to 1.4
     in 99 of 100.
     """
-    header, *rows = table(sound / POINTS)
-    names = sorted({row[header.index("id")] for row in rows})
+    names = sorted({row["id"] for row in rows_of(sound / POINTS)})
     rng, errors = np.random.default_rng(3), []
     of_strips = [rng.permutation([one for one in names if one.startswith(s)]).tolist()[:8] for s in STRIPS]
     for k in range(4):
@@ -486,12 +471,11 @@ def test_attitudes_against_earth_fixed_axes_give_the_same_matrix(told, right, so
 
     def earth_fixed(dump: Path) -> None:
         for head in open_dump(sound).heads:
-            header, *rows = table(dump / f"{head.name}.csv")
-            R_hi = Rotation.from_quat([[float(v) for v in row[1:]] for row in rows]).inv()
-            R_ie = earth.rotations_ie(head.source.rows.t_s)
-            q = (R_hi * R_ie).inv().as_quat()
-            new = [[row[0], *map(repr, one)] for row, one in zip(rows, q.tolist())]
-            write(dump / f"{head.name}.csv", [header, *new])
+            rows = rows_of(dump / f"{head.name}.csv")
+            R_hi = Rotation.from_quat([[float(row[key]) for key in faults.Q] for row in rows]).inv()
+            q = (R_hi * earth.rotations_ie(head.source.rows.t_s)).inv().as_quat().tolist()
+            turned = (row | dict(zip(faults.Q, map(repr, one))) for row, one in zip(rows, q))
+            write_rows(dump / f"{head.name}.csv", turned)
         change(dump / "dump.toml", 'frame = "GCRF"', 'frame = "ITRF"')
 
     again = told(earth_fixed).estimate
@@ -505,10 +489,8 @@ def test_a_finding_that_leaves_the_choice_between_two_strips_lists_the_other(tol
 
     def of_two(dump: Path) -> None:
         for name, column in (("strips.csv", "id"), (POINTS, "strip")):
-            header, *rows = table(dump / name)
-            at = header.index(column)
-            write(dump / name, [header, *(row for row in rows if row[at] != "s03")])
-        faults.rows_late(("s02",), 8e-3, dump)
+            write_rows(dump / name, [row for row in rows_of(dump / name) if row[column] != "s03"])
+        late(dump, s02=8.0)
 
     (found,) = [one for one in told(of_two).verdict.findings if one.is_fault]
     assert (found.item, found.rivals[0]) == ("strip s01", "clock of the rows, strip s02")
@@ -520,11 +502,8 @@ def test_a_finding_that_leaves_the_choice_between_two_strips_lists_the_other(tol
 
 
 def test_the_same_points_under_other_ids_count_once(told, right):
-    def twice(dump: Path) -> None:
-        header, *rows = table(dump / POINTS)
-        write(dump / POINTS, [header, *rows, *([f"{row[0]}x", *row[1:]] for row in rows)])
-
-    again = told(twice)
+    twice = lambda rows: [*rows, *(row | {"id": f"{row['id']}x"} for row in rows)]  # noqa: E731
+    again = told(partial(changed_rows, POINTS, twice))
     assert again.estimate.cov_theta.tolist() == right.estimate.cov_theta.tolist()
     assert [one for one in again.verdict.findings if one.is_fault] == []
     assert {"given twice"} <= {entry.reason.value for entry in again.omissions}
@@ -535,15 +514,9 @@ def test_a_head_that_moves_between_two_scans_is_no_velocity_of_hundreds_of_kilom
 
     def moves(dump: Path) -> None:
         turn = Rotation.from_rotvec(np.radians([18.0 / 3600.0, 0.0, 0.0]))
-        header, *rows = table(dump / "STR1.csv")
-        half = rows[len(rows) // 2][header.index("utc")]
-
-        def edit(row: Row) -> None:
-            if row["utc"] >= half:
-                q = Rotation.from_quat([float(row[key]) for key in ("qx", "qy", "qz", "qw")]) * turn
-                row.update(zip(("qx", "qy", "qz", "qw"), map(repr, q.as_quat().tolist())))
-
-        edited("STR1.csv", edit, dump)
+        rows = rows_of(dump / "STR1.csv")
+        half = rows[len(rows) // 2]["utc"]
+        edited("STR1.csv", lambda row: row["utc"] >= half and faults.turned_by(row, turn), dump)
 
     try:
         text = str(with_fault("trackers", moves, seed=2).verdict.findings[0])
@@ -591,22 +564,6 @@ def test_a_clock_that_two_scans_share_is_told_before_that_of_one_of_them(with_fa
     assert set(either) <= set(first.rivals)
 
 
-def typo(dump: Path) -> None:
-    header, *rows = table(dump / "targets.csv")
-    at = header.index("lon_deg")
-    assert rows[3][at].startswith("103.01")
-    rows[3][at] = rows[3][at].replace("103.01", "103.10")
-    write(dump / "targets.csv", [header, *rows])
-
-
-def test_a_row_of_the_table_that_no_strip_shows_is_told_with_its_distance_and_its_slip(with_fault):
-    verdict = with_fault("ground", typo).verdict
-    (found,) = [one for one in verdict.findings if one.is_fault]
-    assert (found.cause, found.item, found.file) == ("coordinates or chip", "target s01-t04", "targets.csv")
-    assert verdict.outcome is FINDINGS and "km from the nearest strip, s01" in found.text
-    assert "lon_deg 103.01 for 103.10 (digits exchanged)" in found.text
-
-
 def test_scans_in_one_direction_say_that_they_cannot_show_a_clock(with_fault):
     """The matrix takes 10 ms up whole: 14 arcsec."""
     found = with_fault("sky", partial(late, sky01=10.0))
@@ -617,7 +574,5 @@ def test_scans_in_one_direction_say_that_they_cannot_show_a_clock(with_fault):
 
 
 def test_with_two_targets_nothing_can_be_checked(with_fault):
-    def of_two(dump: Path) -> None:
-        write(dump / "targets.csv", table(dump / "targets.csv")[:3])
-
-    assert with_fault("ground", of_two).verdict.outcome is Outcome.NOT_CHECKABLE
+    two = partial(changed_rows, "targets.csv", lambda rows: rows[:2])
+    assert with_fault("ground", two).verdict.outcome is Outcome.NOT_CHECKABLE

@@ -5,7 +5,7 @@ from pathlib import Path
 import fault_dumps
 import numpy as np
 from drawn_faults import both, by_kind, drawn
-from faults import table
+from edits import rows_of
 
 
 def test_one_seed_draws_one_fault_and_another_seed_another(sound: Path) -> None:
@@ -26,5 +26,5 @@ def test_two_faults_at_once_change_what_either_changes(sound: Path, tmp_path: Pa
     two = both(first, second)
     two.make(tmp_path / "dump")
     for name in ("strips.csv", "points.csv"):
-        assert table(tmp_path / "dump" / name) != table(sound / name)
+        assert rows_of(tmp_path / "dump" / name) != rows_of(sound / name)
     assert two.own == first.own + second.own and (two.words, two.other_words) == (first.words, second.words)

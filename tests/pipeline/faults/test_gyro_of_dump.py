@@ -85,9 +85,8 @@ def write_gyro(root: Path, mission: Mission) -> None:
     t_s, R_si = np.array([one.t_s for one in true]), Rotation.concatenate([one.R_si for one in true])
     dt = np.diff(t_s)[:, None]
     turns = -R_GS.apply((R_si[1:] * R_si[:-1].inv()).as_rotvec()) / ARCSEC
-    turns += dt * [3.0, -2.0, 1.0] + WALK_ARCSEC * np.sqrt(dt) * np.random.default_rng(3).normal(
-        size=turns.shape
-    )
+    walk = WALK_ARCSEC * np.sqrt(dt) * np.random.default_rng(3).normal(size=turns.shape)
+    turns += dt * [3.0, -2.0, 1.0] + walk
     turns[dt[:, 0] > 1.0] = 0.0  # between the strips nothing is known
     rows = zip(mission.epoch.utc_from_seconds(t_s), [[0.0] * 3, *turns.tolist()])
     write_csv(root / "gyro.csv", ["utc", *"xyz"], [[t, *turn] for t, turn in rows])

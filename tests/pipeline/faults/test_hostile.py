@@ -20,6 +20,7 @@ from boresight.pipeline.calibration.calibrate import calibrate_dump
 from boresight.pipeline.console.messages import say, tell
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.files.images.rasters import read_grid
 from boresight.pipeline.files.text_files import read_text
 
 NUMBER = re.compile(r"(?<![\w.-])[+-]?\d+\.?\d*(?:[eE][+-]?\d+)?(?![\w.])")
@@ -159,12 +160,9 @@ def test_chip_with_an_absurd_transform_loses_its_target_only(finished, tmp_path)
     dump, result = finished
     shutil.copytree(dump, tmp_path / "dump")
     chips = sorted((tmp_path / "dump" / "chips").iterdir())
-    transforms = [
-        Affine(1e-5, 0, 277_000, 0, -1e-5, 1000),
-        Affine(1e308, 0, 277_000, 0, -1e308, 1000),
-        Affine(0.5, 0, 9e15, 0, -0.5, 1e308),
-    ]
-    for path, transform in zip(chips, transforms):
+    corners = ((1e-5, 277_000, 1000), (1e308, 277_000, 1000), (0.5, 9e15, 1e308))
+    for path, (step, x, y) in zip(chips, corners):
+        transform = Affine(step, 0, x, 0, -step, y)
         with rasterio.open(path) as image:
             profile, pixels = image.profile, image.read(1)
         with rasterio.open(path, "w", **(profile | {"transform": transform})) as image:
@@ -178,8 +176,6 @@ def test_chip_with_an_absurd_transform_loses_its_target_only(finished, tmp_path)
 
 
 def test_raster_with_values_beyond_single_precision_has_no_value_there(handmade: Path) -> None:
-    from boresight.pipeline.files.images.rasters import read_grid
-
     path = handmade / "grid.tif"
     values = np.full((4, 4), 1e308)
     values[0, 0] = 5.0

@@ -46,15 +46,11 @@ def skyless(dtype: type, top: float) -> dict[str, np.ndarray]:
     checks = np.indices(SHAPE).sum(axis=0) % 2
     columns, half = (sky * top).astype(dtype), (sky * top).astype(dtype)
     columns[:, ::2], half[:, : SHAPE[1] // 2] = top, top
-    return {
-        "saturated": np.full(SHAPE, top, dtype),
-        "all zero": np.zeros(SHAPE, dtype),
-        "one value": np.full(SHAPE, 0.4 * top, dtype),
-        "checkerboard": (checks * top).astype(dtype),
-        "two highest values": (top - checks * top / 255).astype(dtype),
-        "saturated columns": columns,
-        "half saturated": half,
-    }
+    flat = {"saturated": top, "all zero": 0.0, "one value": 0.4 * top}
+    images = {name: np.full(SHAPE, value, dtype) for name, value in flat.items()}
+    images["checkerboard"] = (checks * top).astype(dtype)
+    images["two highest values"] = (top - checks * top / 255).astype(dtype)
+    return images | {"saturated columns": columns, "half saturated": half}
 
 
 @pytest.mark.parametrize("dtype", TOP)
@@ -180,9 +176,8 @@ def test_damaged_image_is_refused_or_read_as_pillow_reads_it(kind: str, tmp_path
 
 def test_tiff_of_thousands_of_bands_is_refused_before_it_is_read(tmp_path: Path) -> None:
     path = tmp_path / "bands.tif"
-    with rasterio.open(
-        path, "w", driver="GTiff", width=2, height=2, count=5000, dtype="uint8", interleave="pixel"
-    ) as image:
+    form = {"driver": "GTiff", "width": 2, "height": 2, "dtype": "uint8", "interleave": "pixel"}
+    with rasterio.open(path, "w", count=5000, **form) as image:
         assert image.count == 5000
     with pytest.raises(RawDataError, match=r"SamplesPerPixel.*5000"):
         read_star_image(path, path.name)
@@ -279,9 +274,8 @@ def test_tiff_that_states_black_or_white_not_once_is_refused(tmp_path: Path) -> 
     path = tmp_path / "e.tif"
     for big in (False, True):
         for order in "<>":
-            tifffile.imwrite(
-                path, np.eye(40, dtype=np.uint8), photometric="minisblack", bigtiff=big, byteorder=order
-            )
+            form = {"photometric": "minisblack", "bigtiff": big, "byteorder": order}
+            tifffile.imwrite(path, np.eye(40, dtype=np.uint8), **form)
             assert read_star_image(path, "e").sum() == 40
             raw, (number, count) = bytearray(path.read_bytes()), ((8, "Q") if big else (4, "I"))
             at = raw.index(struct.pack(order + "HH" + count, 262, 3, 1))

@@ -2,12 +2,16 @@
 
 import errno
 import os
+import resource
 import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
+from unittest.mock import patch
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -59,6 +63,7 @@ def run(steps):
     found = calibrate_dump(dump, Settings(), store_of(result), InOrder())
     write_result(result, found, Settings())
 
+made = {}
 for steps in range(1, 200, 7):
     child = os.fork()
     if not child:
@@ -67,6 +72,8 @@ for steps in range(1, 200, 7):
     _, status = os.waitpid(child, 0)
     left = [str(path) for path in result.rglob("*.tmp")]
     print(os.WIFSIGNALED(status), (result / "installation.json").exists(), len(left), flush=True)
+    for path in result.glob("work/*/*.parquet"):  # no finished unit is made twice
+        assert made.setdefault(path, path.stat().st_mtime_ns) == path.stat().st_mtime_ns, path
     if not os.WIFSIGNALED(status):
         sys.exit(os.WEXITSTATUS(status))
 """
@@ -101,6 +108,8 @@ def begun(finished: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Path, byte
 def test_run_killed_at_every_step_of_writing_ends_with_the_same_bytes(begun):
     dump, out, expected = begun
     (out / "installation.json").write_text("{}")  # of an earlier run
+    sorted((out / "work" / "exposures").iterdir())[5].unlink()
+    units = {path: path.stat().st_mtime_ns for path in out.glob("work/*/*.parquet")}
     ran = subprocess.run(
         [sys.executable, "-c", KILLED, str(dump), str(out)], capture_output=True, text=True, timeout=300
     )
@@ -111,8 +120,11 @@ def test_run_killed_at_every_step_of_writing_ends_with_the_same_bytes(begun):
     # The file that says that all is there, an earlier run's removed, was there only once everything was.
     assert [finished for _, finished, _ in deaths[:-2]] == ["False"] * (len(deaths) - 2)
     assert (out / "installation.json").read_bytes() == expected
+    assert len(units) == 13 and all(path.stat().st_mtime_ns == made for path, made in units.items())
     for path in out.rglob("*.parquet"):
         read_parquet(path)
+    lines = status_lines(run_status(out))
+    assert "star exposures            14 done" in lines and lines[-1].startswith("finished")
 
 
 @pytest.mark.parametrize("step", ["written", "flushed", "renamed"])
@@ -135,35 +147,39 @@ def half_written(table: pa.Table, target: Path, **named: object) -> None:
     no_space()
 
 
-@pytest.mark.parametrize(
-    ("where", "fault", "named"),
-    [
-        (pq, ("write_table", half_written), "matching-0/"),
-        (os, ("fsync", no_space), "matching-0/"),
-        (pq, ("ParquetWriter", no_space), "sightings/stars.parquet"),
-        (Path, ("write_text", no_space), "installation.json"),
-    ],
-    ids=["unit half written", "unit not flushed", "table", "installation.json"],
-)
-def test_full_disk_is_told_with_the_file_and_the_run_goes_on_when_there_is_room(
-    where: object,
-    fault: tuple[str, Callable],
-    named: str,
-    begun: tuple[Path, Path, bytes],
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    dump, out, expected = begun
+@contextmanager
+def files_limited(size: int) -> Iterator[None]:
+    """No file of this process may become larger."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+NO_SPACE = "No space left on device"
+FULL = {
+    "unit half written": (partial(patch.object, pq, "write_table", half_written), "matching-0/", NO_SPACE),
+    "unit not flushed": (partial(patch.object, os, "fsync", no_space), "matching-0/", NO_SPACE),
+    "unit too large": (partial(files_limited, 8192), "matching-0/", "too large"),
+    "table": (partial(patch.object, pq, "ParquetWriter", no_space), "sightings/stars.parquet", NO_SPACE),
+    "installation.json": (partial(patch.object, Path, "write_text", no_space), "installation.json", NO_SPACE),
+}
+
+
+@pytest.mark.parametrize("what", FULL)
+def test_full_disk_is_told_with_the_file_and_the_run_goes_on_when_there_is_room(what, begun, capsys):
+    (dump, out, expected), (full, named, says) = begun, FULL[what]
     command = ("calibrate", dump, "--out", out, "--workers", 1, "--no-report")
     if named != "matching-0/":  # its units are there already
         shutil.copytree(dump.parent / "result" / "work", out / "work", dirs_exist_ok=True)
     units = {path: path.stat().st_mtime_ns for path in out.glob("work/*/*.parquet")}
-    with monkeypatch.context() as patch:
-        patch.setattr(where, *fault)
+    with full():
         status, told = ended(capsys, *command)
     told = told.replace("\n", "")
     assert status == 1
-    assert "error: " in told and named in told and "No space left on device" in told, told
+    assert "error: " in told and named in told and says in told, told
     assert not (out / "installation.json").exists()
     assert not list(out.rglob("*.tmp"))
     assert {path: path.stat().st_mtime_ns for path in out.glob("work/*/*.parquet")} == units

@@ -39,12 +39,9 @@ SMALL = [
 PLACES = {
     "180th meridian": ["orbit.longitude_deg=180.03", "orbit.latitude_deg=-17.0"],
     # An orbit that takes the satellite to within 20 m of the pole in the middle of the strip.
-    "pole": [
-        *("orbit.longitude_deg=200.0", "orbit.latitude_deg=89.85", "orbit.inclination_deg=89.9"),
-        "orbit.descending=false",
-    ],
+    "pole": "orbit.longitude_deg=200.0 orbit.latitude_deg=89.85 orbit.inclination_deg=89.9 "
+    "orbit.descending=false".split(),
 }
-
 
 ACROSS = np.linspace(-3.0, 3.0, 160)
 POLAR_HEIGHTS = (200.0 + 80.0 * np.sin(ACROSS)[:, None] * np.cos(1.7 * ACROSS)).astype(np.float32)
@@ -84,20 +81,11 @@ def task_of(mission: Mission, dump: Dump) -> StripTask:
     # The truth tells attitudes once a millisecond of the strip; the last row lies 0.1 ms before its end.
     t_s = truth.t_attitude_s[::49] + (mission.epoch.tai_s - dump.epoch.tai_s)
     R_si = truth.R_cs.inv() * truth.R_ci[::49]
-    task = StripTask(
-        strip=strip,
-        camera=dump.line_camera,
-        orbit=dump.orbit,
-        t_attitude_s=t_s,
-        R_si=R_si,
-        R_cs=dump.R_cs0,
-        sigma_installation_rad=dump.sigma_installation_rad,
-        effects=LightEffects(),
-        targets=dump.targets,
-        chips=dump.chips,
-        terrain=dump.terrain,
-        settings=Settings().match,
-    )
+    of_dump = {"orbit": dump.orbit, "targets": dump.targets, "chips": dump.chips, "terrain": dump.terrain}
+    of_dump |= {"R_cs": dump.R_cs0, "sigma_installation_rad": dump.sigma_installation_rad}
+    attitude = {"t_attitude_s": t_s, "R_si": R_si}
+    how = {"camera": dump.line_camera, "effects": LightEffects(), "settings": Settings().match}
+    task = StripTask(strip=strip, **of_dump, **attitude, **how)
     targets, _ = targets_near(task, dump.targets, dump.chips)
     assert len(targets) == len(dump.targets)
     return task
@@ -125,27 +113,15 @@ def test_pixels_are_placed_on_the_ground_and_found_again(flown) -> None:
     task = replace(task_of(mission, dump), R_cs=truth.R_cs)
     push = pushbroom_of(task)
     track = replace(push.attitude, cov_s=np.tile(1e-12 * np.eye(3), (len(task.t_attitude_s), 1, 1)))
-    none = np.zeros(0)
-    saved = SavedResult(
-        R_cs=truth.R_cs,
-        theta=np.zeros(3),
-        cov_theta=1e-12 * np.eye(3),
-        installation={},
-        exposure_id=[],
-        t_exposures_s=none,
-        R_si=task.R_si[:0],
-        covariance_s=np.zeros((0, 3, 3)),
-        usable=none.astype(bool),
-    )
-    calibrated = Calibrated(
-        result=saved, folder=dump.root, dump=dump, sigma_terrain_m=0.0, exposure_margin_s=1.0
-    )
+    matrix = {"R_cs": truth.R_cs, "theta": np.zeros(3), "cov_theta": 1e-12 * np.eye(3), "installation": {}}
+    no_exposures = {"exposure_id": [], "t_exposures_s": np.zeros(0), "usable": np.zeros(0, dtype=bool)}
+    no_exposures |= {"R_si": task.R_si[:0], "covariance_s": np.zeros((0, 3, 3))}
+    saved = SavedResult(**matrix, **no_exposures)
+    of = {"folder": dump.root, "dump": dump, "sigma_terrain_m": 0.0, "exposure_margin_s": 1.0}
+    calibrated = Calibrated(result=saved, **of)
     points = truth.check_points
-    pixels = Pixels(
-        np.zeros(len(points), dtype=np.int64),
-        np.array([p.sample for p in points]),
-        np.array([p.line for p in points]),
-    )
+    ccd, at = np.zeros(len(points), dtype=np.int64), np.array([[p.sample, p.line] for p in points])
+    pixels = Pixels(ccd, *at.T)
     places = ground_places(calibrated, StripModel(task.strip, push, track), pixels, surface_of(dump.terrain))
     assert np.all((places.lon_deg >= -180.0) & (places.lon_deg <= 180.0))
     p_e = ecef_from_geodetic(np.radians(places.lat_deg), np.radians(places.lon_deg), places.height_m, WGS84)
@@ -176,11 +152,8 @@ def test_terrain_across_the_meridian_is_one_ground_however_it_is_written(tmp_pat
             x, y = rasterio.warp.transform("EPSG:32760", "EPSG:4326", x.ravel(), y.ravel())
         east = (np.reshape(x, (200, 200)) - 180.0 + 180.0) % 360.0 - 180.0
         heights = (300.0 + 1000.0 * (np.reshape(y, (200, 200)) + 17.0) + 500.0 * east).astype(np.float32)
-        path, transform = (
-            tmp_path / f"{name}.tif",
-            rasterio.Affine(step[0], 0, corner[0], 0, -step[1], corner[1]),
-        )
-        write_grid(path, heights, epsg, transform)
+        path = tmp_path / f"{name}.tif"
+        write_grid(path, heights, epsg, rasterio.Affine(step[0], 0, corner[0], 0, -step[1], corner[1]))
         surface = surface_of(TerrainFiles((path.name,), (path,), "ellipsoidal"))
         # Heights of some hundred metres in single precision, and a bend of the map below a millimetre.
         np.testing.assert_allclose(surface.height_m(lat, lon), expected, atol=2e-3)  # m
@@ -219,10 +192,8 @@ def test_terrain_in_several_files_is_that_of_one(handmade: Path) -> None:
         corner = rasterio.Affine(0.001, 0, 20.0 + 0.001 * first, 0, -0.001, 10.0)
         write_grid(handmade / f"{name}.tif", whole[:, first:last], 4326, corner)
     text = (handmade / "dump.toml").read_text() + '\n[terrain]\nheight_kind = "egm96"\nsigma_m = 5\n'
-    lat, lon = (
-        np.radians(9.9995 - 0.001 * rows[3:-3, 3:-3]),
-        np.radians(20.0012 + 0.001 * columns[3:-3, 3:-3]),
-    )
+    lat = np.radians(9.9995 - 0.001 * rows[3:-3, 3:-3])
+    lon = np.radians(20.0012 + 0.001 * columns[3:-3, 3:-3])
     heights = {}
     for names in ('"all.tif"', '["east.tif", "west.tif"]'):
         stated = text.replace('"targets.csv"', f'"targets.csv"\nterrain = {names}')
@@ -230,16 +201,12 @@ def test_terrain_in_several_files_is_that_of_one(handmade: Path) -> None:
         heights[names] = surface_of(open_dump(handmade).terrain).height_m(lat, lon)
     one, two = heights.values()
     assert np.isfinite(one).all() and np.abs(two - one).max() < 1e-3  # m: float32 of a thousand metres
-    for names, field in (
-        ('["all.tif", "../all.tif"]', "files.terrain"),
-        ("[]", "files.terrain"),
-        ("3", "files.terrain"),
-    ):
+    for names in ('["all.tif", "../all.tif"]', "[]", "3"):
         stated = text.replace('"targets.csv"', f'"targets.csv"\nterrain = {names}')
         (handmade / "dump.toml").write_text(stated)
         with pytest.raises(RawDataError) as caught:
             open_dump(handmade)
-        assert caught.value.file == "dump.toml" and str(caught.value.field).startswith(field)
+        assert caught.value.file == "dump.toml" and str(caught.value.field).startswith("files.terrain")
 
 
 def write_grid(path: Path, values: np.ndarray, epsg: int, transform: rasterio.Affine) -> None:

@@ -83,14 +83,9 @@ def numbers(dump: Dump) -> np.ndarray:
     measurement with its CCD, image point (px) and place on the ground (m), in the order of strips, points and
     CCDs.
     """
-    rotations = [
-        R.as_matrix().ravel()
-        for head in dump.heads
-        for R in (
-            head.R_cs0,
-            *(() if not isinstance(head.source, SolvedAttitudes) else head.source.rows.R_si),
-        )
-    ]
+    rotations = [head.R_cs0 for head in dump.heads]
+    for head in dump.heads:
+        rotations += [*head.source.rows.R_si] if isinstance(head.source, SolvedAttitudes) else []
     times = [dump.orbit.t_s[0], *(strip.t_first_row_s for strip in dump.strips)]
     of_points = [
         (one.strip_id, target.target_id, ccd, *xy_px, *target.p_e)
@@ -98,7 +93,7 @@ def numbers(dump: Dump) -> np.ndarray:
         for target, ccd, xy_px in zip(one.targets, one.ccd.tolist(), one.xy_px.tolist())
     ]
     places = np.array([row[2:] for row in sorted(of_points, key=lambda row: row[:3])])
-    return np.concatenate([times, *rotations, places.ravel()])
+    return np.concatenate([times, *(R.as_matrix().ravel() for R in rotations), places.ravel()])
 
 
 def alike(one: Dump, other: Dump) -> bool:
@@ -122,24 +117,22 @@ def narrow(sound) -> Basis:
     """The dump with few points of two strips, and mountings as they truly are within 0.3 mrad: 25 px."""
     dump = open_dump(sound)
     truth = Rotation.from_quat(toml_tables(sound / "truth" / "installation.toml", "")["quaternion_cs"])
+    turn = truth * dump.R_cs0.inv()
     heads = tuple(
-        replace(
-            head,
-            R_cs0=truth * dump.R_cs0.inv() * head.R_cs0,
-            sigma_installation_rad=0.1 * head.sigma_installation_rad,
-        )
-        for head in dump.heads
+        replace(one, R_cs0=turn * one.R_cs0, sigma_installation_rad=0.1 * one.sigma_installation_rad)
+        for one in dump.heads
     )
     of_one_ccd = tuple(one.of([0]) for one in dump.points[:2])
-    few = replace(dump, heads=heads, strips=dump.strips[:2], points=of_one_ccd)
-    return basis_of(few)
-
-
-def basis_of(dump: Dump) -> Basis:
+    dump = replace(dump, heads=heads, strips=dump.strips[:2], points=of_one_ccd)
     settings, runner = Settings(), StageRunner(None, InOrder())
     errors = calibration_settings(settings, dump.errors, dump.line_camera)
     heads = tuple(sight_head(dump, head, settings, runner) for head in dump.heads)
     return Basis(dump, heads, settings, errors, runner, surface_of(dump.terrain))
+
+
+def nearer(one: object, meant: object, now: object, name: str) -> object:
+    """A record, of which one field moves as it has to for what is now made of it to be what is meant."""
+    return replace(one, **{name: getattr(one, name) + getattr(meant, name) - getattr(now, name)})
 
 
 def misread(reading: Reading[Dump], dump: Dump) -> Dump:
@@ -154,27 +147,18 @@ def misread(reading: Reading[Dump], dump: Dump) -> Dump:
     wrong = dump
     for _ in range(5):
         made = reading.apply(wrong)
+        orbit = nearer(wrong.orbit, dump.orbit, made.orbit, "t_s")
+        earth = replace(wrong.orbit.earth, t_start_s=orbit.t_s[0], t_stop_s=orbit.t_s[-1])
         strips = zip(wrong.strips, dump.strips, made.strips)
-        points = zip(wrong.points, dump.points, made.points)
-        t_s = wrong.orbit.t_s + dump.orbit.t_s - made.orbit.t_s
-        earth = replace(wrong.orbit.earth, t_start_s=t_s[0], t_stop_s=t_s[-1])
+        points = []
+        for one, *others in zip(wrong.points, dump.points, made.points):
+            targets = zip(one.targets, *(other.targets for other in others))
+            points.append(replace(one, targets=tuple(nearer(*three, "p_e") for three in targets)))
         wrong = replace(
             wrong,
-            orbit=replace(wrong.orbit, t_s=t_s, earth=earth),
-            strips=tuple(
-                replace(one, t_first_row_s=one.t_first_row_s + meant.t_first_row_s - now.t_first_row_s)
-                for one, meant, now in strips
-            ),
-            points=tuple(
-                replace(
-                    one,
-                    targets=tuple(
-                        replace(target, p_e=target.p_e + a.p_e - b.p_e)
-                        for target, a, b in zip(one.targets, meant.targets, now.targets)
-                    ),
-                )
-                for one, meant, now in points
-            ),
+            orbit=replace(orbit, earth=earth),
+            strips=tuple(nearer(*three, "t_first_row_s") for three in strips),
+            points=tuple(points),
         )
     assert alike(reading.apply(wrong), dump), reading
     return wrong
@@ -186,9 +170,8 @@ def test_every_row_of_the_table_names_first_the_mistake_that_it_puts_right(narro
     assert _agreeing_strips(narrow, dump) == 2
     for reading in readings_of_dump(dump):
         wrong = misread(reading, dump)
-        named, strips = best_reading(
-            wrong, readings_of_dump(wrong), lambda read: int(alike(read, dump)), fewest=1, enough=1
-        )
+        agrees = lambda read: int(alike(read, dump))  # noqa: E731
+        named, strips = best_reading(wrong, readings_of_dump(wrong), agrees, fewest=1, enough=1)
         assert (named.cause, named.changed) == (reading.cause, reading.changed)
         assert set(named.subjects) == set(reading.subjects)
         assert strips == 1 and (named.file, named.field) == (reading.file, reading.field)

@@ -1,6 +1,7 @@
 """Hostile text: paths that lead out, files without end, nesting, formulas, code; and times that cannot be."""
 
 import ast
+import gzip
 import json
 import os
 import time
@@ -95,17 +96,7 @@ def test_link_that_leads_out_is_refused(file: str, handmade: Path) -> None:
         ("a = 1\na = 2", "Cannot overwrite a value"),
         ("a = \x00", "invalid value"),
     ],
-    ids=[
-        "deep key",
-        "quoted deep key",
-        "inline deep key",
-        "arrays",
-        "tables",
-        "digits",
-        "hex",
-        "twice",
-        "NUL",
-    ],
+    ids="deep_key quoted_deep_key inline_deep_key arrays tables digits hex twice NUL".split(),
 )
 def test_toml_that_is_made_to_harm_is_refused_at_once(kind, text, says, tmp_path):
     path, begin = tmp_path / "hostile.toml", time.process_time()
@@ -139,8 +130,6 @@ def test_number_that_no_scenario_has_is_told_with_its_key(text: str, says: str, 
 
 def test_truth_of_centroids_is_a_plain_table(tmp_path: Path) -> None:
     """An address is no file, a packed table is not unpacked, numbers that are none are named."""
-    import gzip
-
     with pytest.raises(RawDataError, match="no such file"):
         _read_truth(Path("http://localhost:9/truth.csv"))
     packed = tmp_path / "truth.csv.gz"
@@ -154,12 +143,8 @@ def test_truth_of_centroids_is_a_plain_table(tmp_path: Path) -> None:
 
 def test_json_of_a_result_may_be_anything_but_an_error_of_the_program(tmp_path: Path) -> None:
     path = tmp_path / "run.json"
-    for text, says in (
-        ("[" * 100_000, "recursion"),
-        ("[1]", "an object"),
-        ("{", "JSON"),
-        ("9" * 5000, "digits"),
-    ):
+    hostile = {"[" * 100_000: "recursion", "[1]": "an object", "{": "JSON", "9" * 5000: "digits"}
+    for text, says in hostile.items():
         path.write_text(text)
         with pytest.raises(RawDataError, match=says):
             read_json(path, "run.json")
@@ -185,17 +170,7 @@ def test_nothing_that_is_read_can_be_run_or_unpacked() -> None:
     that prints our own page at the user's request, and the reader of archives of GIPP files in memory."""
     allowed = {"pipeline/report/pdf.py": {"subprocess"}, "features/operators/gipp_files.py": {"tarfile"}}
     forbidden = {"pickle", "marshal", "shelve", "joblib", "dill", "yaml", "tarfile", "subprocess"}
-    calls = {
-        "eval",
-        "exec",
-        "compile",
-        "unpack_archive",
-        "extractall",
-        "ZipFile",
-        "system",
-        "popen",
-        "__import__",
-    }
+    calls = set("eval exec compile unpack_archive extractall ZipFile system popen __import__".split())
     seen = 0
     for package in PACKAGES:
         for path in (ROOT / package).rglob("*.py"):

@@ -31,7 +31,7 @@ def csv_text(q: np.ndarray, extra: str = "", cells: tuple[str, ...] = ("", "", "
 
 
 def read(
-    tmp_path: Path, text: str, frame: str | None = "GCRF", rotation: str | None = "head to inertial"
+    tmp_path, text: str, frame: str | None = "GCRF", rotation: str | None = "head to inertial"
 ) -> AttitudeRows:
     path = tmp_path / "attitudes"
     path.write_text(text)
@@ -161,9 +161,8 @@ def test_euler_angles_are_those_of_naif_in_keyword_value_and_both_forms_of_xml(t
         for found in (of_kvn, of_xml):
             assert np.abs(found.R_si.as_matrix() - to_b).max() < 1e-14  # rounding of 1
         if version == "1.0":
-            with pytest.raises(
-                RawDataError, match="state 1, rotation2: found Y_ANGLE, expected X_ANGLE, as EU"
-            ):
+            says = "state 1, rotation2: found Y_ANGLE, expected X_ANGLE, as EU"
+            with pytest.raises(RawDataError, match=says):
                 read(tmp_path, xml.replace("X_ANGLE", "Y_ANGLE", 1), None, None)
 
 

@@ -21,16 +21,9 @@ from boresight.simulator.mission_records import Mission
 
 OF_EACH_CCD = ("look_ccd_shift_px", "look_ccd_slope_px", "look_ccd_bend_px")
 SMALL = (
-    "strips.count=1",
-    "strips.lines=300",
-    "strips.exposure_lead_s=0.1",
-    "star_camera.width_px=128",
-    "star_camera.height_px=96",
-    "star_camera.principal_px=[64.0, 48.0]",
-    "targets.per_strip=2",
-    "targets.check_points_per_strip=3",
-    "targets.chip_size_px=48",
-    "sky.bits=12",
+    *("strips.count=1", "strips.lines=300", "strips.exposure_lead_s=0.1", "sky.bits=12"),
+    *("star_camera.width_px=128", "star_camera.height_px=96", "star_camera.principal_px=[64.0, 48.0]"),
+    *("targets.per_strip=2", "targets.check_points_per_strip=3", "targets.chip_size_px=48"),
 )
 
 
@@ -110,10 +103,8 @@ def test_truth_is_in_its_folder_and_nowhere_else(flown: tuple[Mission, Path, Dum
             assert {key: float(row[key]) for key in right} == pytest.approx(right, abs=1e-5)
             assert (row["id"], row["strip"]) == (p.point_id, p.strip_id)
     for row, strip in zip(rows_of(root / "truth" / "strips.csv"), mission.truth.strips, strict=True):
-        assert list(row.values()) == [
-            strip.strip_id,
-            *map(repr, (strip.clock_offset_s, *strip.position_error_m.tolist())),
-        ]
+        numbers = (strip.clock_offset_s, *strip.position_error_m.tolist())
+        assert list(row.values()) == [strip.strip_id, *map(repr, numbers)]
     truth = tomllib.loads((root / "truth" / "installation.toml").read_text())
     assert np.allclose(truth["theta_rad"], mission.truth.theta_rad)
     number = f"{truth['quaternion_cs'][0]:.12f}"

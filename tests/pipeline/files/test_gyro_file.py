@@ -24,10 +24,9 @@ def stated(**changed) -> GyroFile:
         "quantity": "rates",
         "unit": "rad",
         "quaternion_sg": R_SG.as_quat().tolist(),
-        "random_walk_arcsec": 0.02,
-        "bias_walk_arcsec_s": 1e-3,
     }
-    return GyroFile.model_validate(values | changed)
+    noise = {"random_walk_arcsec": 0.02, "bias_walk_arcsec_s": 1e-3}
+    return GyroFile.model_validate(values | noise | changed)
 
 
 def record_of(tmp_path, values, *, clock="utc", late=0.0, **changed):
@@ -52,16 +51,9 @@ def test_rates_and_angles_in_any_unit_turn_the_star_camera(tmp_path) -> None:
         np.testing.assert_allclose(one.t_s, STEP_S * np.arange(21), atol=1e-6)
     # what is not stated: a free bias, 1e-3 rad/s, and a resolution of a tenth of the walk over a step
     fine = record_of(tmp_path, rates, white_arcsec=0.5, bias_arcsec_s=30.0)
-    for one, rest in (
-        (records[0], (1e-3, 0.1 * 0.02 * ARCSEC * np.sqrt(STEP_S))),
-        (fine, (30 * ARCSEC, 0.5 * ARCSEC)),
-    ):
-        sizes = (
-            one.noise.random_walk_rad,
-            one.noise.bias_walk_rad_s,
-            one.noise.bias_rad_s,
-            one.noise.white_rad,
-        )
+    unstated = (1e-3, 0.1 * 0.02 * ARCSEC * np.sqrt(STEP_S))
+    for noise, rest in ((records[0].noise, unstated), (fine.noise, (30 * ARCSEC, 0.5 * ARCSEC))):
+        sizes = (noise.random_walk_rad, noise.bias_walk_rad_s, noise.bias_rad_s, noise.white_rad)
         assert sizes == pytest.approx((0.02 * ARCSEC, 1e-3 * ARCSEC, *rest))
 
 

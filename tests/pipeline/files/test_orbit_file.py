@@ -4,6 +4,7 @@ import datetime
 import gzip
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,25 +20,32 @@ from boresight.geometry.orbit import OrbitGapError
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dates import n_covered
 from boresight.pipeline.files.orbit_and_earth import bundled_table, orbit_of
-from boresight.pipeline.files.orbit_file import joined_segments, read_oem, read_segments
+from boresight.pipeline.files.orbit_file import Ephemeris, joined_segments, read_oem, read_segments
 
 FIXTURE = Path(__file__).parents[3] / "fixtures" / "mini" / "orbit.oem"
 RADIUS_KM, RATE = 6908.0, 7.5963 / 6908.0
 
 
-def text_of(count: int, line: str = "{t} {x:.9f} {y:.9f} 0.0 {vx:.12f} {vy:.12f} -1e-3") -> str:
-    begin, lines = datetime.datetime(2016, 12, 31, 23, 59, 30), []
-    for n in range(count):
-        a = RATE * n
-        c, s = RADIUS_KM * np.cos(a), RADIUS_KM * np.sin(a)
-        stamp = (begin + datetime.timedelta(seconds=n)).isoformat(timespec="milliseconds")
+PLAIN = "{t} {x:.9f} {y:.9f} 0.0 {vx:.12f} {vy:.12f} -1e-3"
+
+
+def text_of(count: int, line: str = PLAIN, begin: str = "2016-12-31T23:59:30", step_s: float = 1.0) -> str:
+    """A message of states on a circle."""
+    first, lines = datetime.datetime.fromisoformat(begin), []
+    for after_s in step_s * np.arange(count):
+        c, s = RADIUS_KM * np.cos(RATE * after_s), RADIUS_KM * np.sin(RATE * after_s)
+        stamp = (first + datetime.timedelta(seconds=float(after_s))).isoformat(timespec="milliseconds")
         lines.append(line.format(t=stamp, x=c, y=s, vx=-RATE * s, vy=RATE * c))
-    return OEM_HEAD.format(day="2016-12-31") + "\n".join(lines) + "\n"
+    return OEM_HEAD.format(day=begin[:10]) + "\n".join(lines) + "\n"
 
 
 def written(folder: Path, text: str) -> Path:
     (folder / "orbit.oem").write_text(text, encoding="utf-8")
     return folder / "orbit.oem"
+
+
+def read(folder: Path, text: str) -> Ephemeris:
+    return read_oem(written(folder, text), "orbit.oem")
 
 
 def assert_as_library(path: Path) -> None:
@@ -51,9 +59,7 @@ def assert_as_library(path: Path) -> None:
     assert np.array_equal(found.velocities_m_s, 1e3 * np.array([state.velocity for state in states]))
 
 
-@pytest.mark.parametrize(
-    "line", ["{t} {x:.9f} {y:.9f} 0.0 {vx:.12f} {vy:.12f} -1e-3", "{t}\t{x:e}  {y} .5 1. {vx} +2E0 "]
-)
+@pytest.mark.parametrize("line", [PLAIN, "{t}\t{x:e}  {y} .5 1. {vx} +2E0 "])
 def test_plain_states_are_those_of_the_library_across_a_leap_second(line: str, tmp_path: Path) -> None:
     assert_as_library(written(tmp_path, text_of(60, line)))
 
@@ -83,8 +89,8 @@ def test_message_of_another_form_is_that_of_the_library(changed, tmp_path: Path)
 
 def test_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
     for text in (text_of(20), text_of(20).replace("\n\n", "\nCOMMENT é\n\n")):
-        plain = read_oem(written(tmp_path, text), "orbit.oem")
-        marked = read_oem(written(tmp_path, "\ufeff" + text), "orbit.oem")
+        plain = read(tmp_path, text)
+        marked = read(tmp_path, "\ufeff" + text)
         assert marked.epoch == plain.epoch and np.array_equal(marked.t_s, plain.t_s)
         assert np.array_equal(marked.positions_m, plain.positions_m)
 
@@ -93,7 +99,7 @@ def test_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
 def test_number_that_other_programs_do_not_read_is_refused(number: str, tmp_path: Path) -> None:
     text = text_of(20).replace("6908.000000000", number, 1)
     with pytest.raises(RawDataError, match=r"orbit.oem: line 15, X: found .*ASCII digits"):
-        read_oem(written(tmp_path, text), "orbit.oem")
+        read(tmp_path, text)
 
 
 @pytest.mark.parametrize(
@@ -123,7 +129,7 @@ def test_number_that_other_programs_do_not_read_is_refused(number: str, tmp_path
 )  # fmt: skip
 def test_what_is_wrong_is_named(old: str, new: str, says: str, tmp_path: Path) -> None:
     with pytest.raises(RawDataError, match=says):
-        read_oem(written(tmp_path, text_of(20).replace(old, new, 1)), "orbit.oem")
+        read(tmp_path, text_of(20).replace(old, new, 1))
 
 
 @pytest.mark.timed
@@ -148,8 +154,8 @@ def cpu_s(work: Callable[[], object]) -> float:
 def test_states_in_eme2000_are_rotated_by_the_frame_bias(tmp_path: Path) -> None:
     # The precession of IAU 2006 at J2000 is the frame bias alone, 23 mas or 0.8 m; 0.2 µas from that of 2000.
     text = text_of(10)
-    here = read_oem(written(tmp_path, text), "orbit.oem")
-    there = read_oem(written(tmp_path, text.replace("= GCRF", "= EME2000")), "orbit.oem")
+    here = read(tmp_path, text)
+    there = read(tmp_path, text.replace("= GCRF", "= EME2000"))
     bias = erfa.pmat06(2451545.0, 0.0)
     assert there.frame == "GCRF"
     assert np.abs(there.positions_m @ bias.T - here.positions_m).max() < 1e-5  # m
@@ -185,8 +191,8 @@ def test_third_version_with_its_own_keywords_is_read_in_both_forms(tmp_path: Pat
     own = "CCSDS_OEM_VERS = 3.0\nCLASSIFICATION = public, no limits\nMESSAGE_ID = OEM 201113719185\n"
     text = text_of(10)
     assert head in text
-    plain = read_oem(written(tmp_path, text), "orbit.oem")
-    third = read_oem(written(tmp_path, text.replace(head, own)), "orbit.oem")
+    plain = read(tmp_path, text)
+    third = read(tmp_path, text.replace(head, own))
     assert np.array_equal(third.positions_m, plain.positions_m) and np.array_equal(third.t_s, plain.t_s)
     OrbitEphemerisMessage.open(written(tmp_path, text)).save_as(tmp_path / "orbit.xml", file_format="xml")
     xml = (tmp_path / "orbit.xml").read_text().replace('version="2.0"', 'version="3.0"', 1)
@@ -194,7 +200,7 @@ def test_third_version_with_its_own_keywords_is_read_in_both_forms(tmp_path: Pat
     (tmp_path / "third.xml").write_text(xml.replace("<header>", "<header><MESSAGE_ID>7</MESSAGE_ID>", 1))
     assert np.array_equal(read_oem(tmp_path / "third.xml", "third.xml").positions_m, plain.positions_m)
     with pytest.raises(RawDataError, match=r"CCSDS_OEM_VERS: found 4\.0, expected 1\.0, 2\.0, 3\.0"):
-        read_oem(written(tmp_path, text.replace(head, "CCSDS_OEM_VERS = 4.0\n")), "orbit.oem")
+        read(tmp_path, text.replace(head, "CCSDS_OEM_VERS = 4.0\n"))
 
 
 def two_segments(text: str, later: str = "2017-01-01T00:00:31.000") -> str:
@@ -209,7 +215,7 @@ def two_segments(text: str, later: str = "2017-01-01T00:00:31.000") -> str:
 def test_segments_are_those_of_the_library_with_one_epoch(tmp_path: Path) -> None:
     path = written(tmp_path, two_segments(text_of(120)))
     assert [len(list(one.states)) for one in OrbitEphemerisMessage.open(path).segments] == [61, 59]
-    whole = read_oem(written(tmp_path, text_of(120)), "orbit.oem")
+    whole = read(tmp_path, text_of(120))
     path = written(tmp_path, two_segments(text_of(120)))
     OrbitEphemerisMessage.open(path).save_as(tmp_path / "orbit.xml", file_format="xml")
     for name in ("orbit.oem", "orbit.xml"):
@@ -234,16 +240,13 @@ def test_spans_are_counted_in_the_segment_that_covers_them(tmp_path: Path) -> No
 
 def test_what_is_wrong_in_a_segment_is_named_by_its_number(tmp_path: Path) -> None:
     text = two_segments(text_of(66))
-    with pytest.raises(
-        RawDataError, match=r"orbit.oem \(segment 2 of 2\): states: found 5, expected at least 8"
-    ):
+    few = r"orbit.oem \(segment 2 of 2\): states: found 5, expected at least 8"
+    with pytest.raises(RawDataError, match=few):
         read_segments(written(tmp_path, text), "orbit.oem")
-    text = two_segments(text_of(120))
-    at = text.rindex("OBJECT_ID = ")
-    text = text[:at] + text[at:].replace("2024-000A", "2024-000B")
-    with pytest.raises(
-        RawDataError, match=r"line \d+, OBJECT_ID: found 2024-000B, expected 2024-000A, as in the first"
-    ):
+    head, mark, second = two_segments(text_of(120)).rpartition("OBJECT_ID = ")
+    text = head + mark + second.replace("2024-000A", "2024-000B")
+    other = r"line \d+, OBJECT_ID: found 2024-000B, expected 2024-000A, as in the first"
+    with pytest.raises(RawDataError, match=other):
         read_segments(written(tmp_path, text), "orbit.oem")
 
 
@@ -251,23 +254,21 @@ def test_as_many_states_are_enough_as_the_interpolation_needs(tmp_path: Path) ->
     for method, degree, enough in (("LAGRANGE", 5, 6), ("HERMITE", 5, 3), ("LAGRANGE", 1, 2)):
         asked = f"INTERPOLATION = {method}\nINTERPOLATION_DEGREE = {degree}\nMETA_STOP"
         few, less = (text_of(n).replace("META_STOP", asked) for n in (enough, enough - 1))
-        assert len(read_oem(written(tmp_path, few), "orbit.oem").t_s) == enough
+        assert len(read(tmp_path, few).t_s) == enough
         with pytest.raises(RawDataError, match=f"states: found {enough - 1}, expected at least {enough}"):
-            read_oem(written(tmp_path, less), "orbit.oem")
+            read(tmp_path, less)
 
 
 def test_j2000_is_eme2000(tmp_path: Path) -> None:
-    one, other = (
-        read_oem(written(tmp_path, text_of(10).replace("= GCRF", f"= {name}")), "orbit.oem")
-        for name in ("EME2000", "J2000")
-    )
+    names = ("EME2000", "J2000")
+    one, other = (read(tmp_path, text_of(10).replace("= GCRF", f"= {name}")) for name in names)
     assert np.array_equal(one.positions_m, other.positions_m)
 
 
 def test_empty_lines_may_stand_before_the_message_and_count(tmp_path: Path) -> None:
-    assert len(read_oem(written(tmp_path, "\n \n" + text_of(10)), "orbit.oem").t_s) == 10
+    assert len(read(tmp_path, "\n \n" + text_of(10)).t_s) == 10
     with pytest.raises(RawDataError, match="line 10, CENTER_NAME: found MARS"):
-        read_oem(written(tmp_path, "\n \n" + text_of(10).replace("EARTH", "MARS")), "orbit.oem")
+        read(tmp_path, "\n \n" + text_of(10).replace("EARTH", "MARS"))
 
 
 def test_the_one_orbit_in_a_combined_message_is_read(tmp_path: Path) -> None:
@@ -278,31 +279,17 @@ def test_the_one_orbit_in_a_combined_message_is_read(tmp_path: Path) -> None:
     plain = read_oem(tmp_path / "a.xml", "a.xml")
     assert np.array_equal(read_oem(path, "ndm.xml").positions_m, plain.positions_m)
     path.write_text(f"{declaration}<ndm><omm/><opm/></ndm>")
-    with pytest.raises(
-        RawDataError, match="root element: found ndm of omm, opm, expected oem, or ndm with one"
-    ):
+    with pytest.raises(RawDataError, match="element: found ndm of omm, opm, expected oem, or ndm with one"):
         read_oem(path, "ndm.xml")
-
-
-def circle(step_s: float) -> str:
-    """A message of 12 states on a circle, `step_s` apart."""
-    begin, lines = datetime.datetime(2017, 4, 11), []
-    for n in range(12):
-        c, s = RADIUS_KM * np.cos(RATE * step_s * n), RADIUS_KM * np.sin(RATE * step_s * n)
-        stamp = (begin + datetime.timedelta(seconds=step_s * n)).isoformat(timespec="milliseconds")
-        lines.append(f"{stamp} {c:.9f} {s:.9f} 0.0 {-RATE * s:.12f} {RATE * c:.12f} 0.0")
-    return OEM_HEAD.format(day="2017-04-11") + "\n".join(lines) + "\n"
 
 
 def test_states_may_be_minutes_apart_but_not_an_eighth_of_a_revolution(tmp_path: Path) -> None:
     # One revolution is 5714 s. The orbit of the ISS is distributed in steps of 240 s.
-    for step_s in (60.0, 240.0, 560.0):
-        ephemeris = read_oem(written(tmp_path, circle(step_s)), "orbit.oem")
-        orbit_of(ephemeris, "orbit.oem", bundled_table(), allow_stale_eop=False)
-    ephemeris = read_oem(written(tmp_path, circle(714.0)), "orbit.oem")
     says = "time of the states: found steps of 714 s, expected at most 571 s, 0.1 of a revolution"
-    with pytest.raises(RawDataError, match=says):
-        orbit_of(ephemeris, "orbit.oem", bundled_table(), allow_stale_eop=False)
+    for step_s in (60.0, 240.0, 560.0, 714.0):
+        found = read(tmp_path, text_of(12, PLAIN, "2017-04-11T00:00:00", step_s))
+        with pytest.raises(RawDataError, match=says) if step_s > 600.0 else nullcontext():
+            orbit_of(found, "orbit.oem", bundled_table(), allow_stale_eop=False)
 
 
 def test_wrong_number_is_named_by_line_and_value(tmp_path: Path) -> None:
@@ -316,14 +303,12 @@ def test_wrong_number_is_named_by_line_and_value(tmp_path: Path) -> None:
         (["2016-12-31", *words[1:]], f"line {row + 1}, time: found 2016-12-31,"),
     ):
         with pytest.raises(RawDataError, match=complaint):
-            read_oem(
-                written(tmp_path, "\n".join([*lines[:row], " ".join(cells), *lines[row + 1 :]])), "orbit.oem"
-            )
+            read(tmp_path, "\n".join([*lines[:row], " ".join(cells), *lines[row + 1 :]]))
 
 
 def test_compressed_message_is_the_plain_one_and_a_bomb_is_not_unpacked(tmp_path: Path) -> None:
     text = text_of(30)
-    plain, packed = read_oem(written(tmp_path, text), "orbit.oem"), tmp_path / "orbit.oem.gz"
+    plain, packed = read(tmp_path, text), tmp_path / "orbit.oem.gz"
     whole = gzip.compress(text.encode())
     packed.write_bytes(whole)
     assert np.array_equal(read_oem(packed, "orbit.oem.gz").positions_m, plain.positions_m)
@@ -338,12 +323,10 @@ def test_compressed_message_is_the_plain_one_and_a_bomb_is_not_unpacked(tmp_path
 @pytest.mark.filterwarnings("ignore::astropy.utils.exceptions.AstropyWarning")
 def test_states_of_teme_and_true_of_date_are_those_of_astropy_and_erfa(tmp_path: Path) -> None:
     text = text_of(12).replace("2016-12-31T23:59", "2023-09-14T11:42")
-    plain = read_oem(written(tmp_path, text), "orbit.oem").positions_m
+    plain = read(tmp_path, text).positions_m
     text = text.replace("REF_FRAME = GCRF", "REF_FRAME = {}")
     assert "REF_FRAME = {}" in text
-    teme, tod = (
-        read_oem(written(tmp_path, text.replace("{}", frame)), "orbit.oem") for frame in ("TEME", "TOD")
-    )
+    teme, tod = (read(tmp_path, text.replace("{}", frame)) for frame in ("TEME", "TOD"))
     at = [float(erfa.DJM0), Time("2023-09-14T11:42:30").tt.mjd + np.arange(12) / 86_400.0]
     when = Time(*at, format="jd", scale="tt")
     places = TEME(CartesianRepresentation(plain.T, unit="m"), obstime=when)
@@ -353,16 +336,14 @@ def test_states_of_teme_and_true_of_date_are_those_of_astropy_and_erfa(tmp_path:
     R = erfa.pnm06a(*at)
     assert np.abs(tod.positions_m - np.einsum("nji,nj->ni", R, plain)).max() < 1e-6
     fixed = text.replace("{}", "TEME\nREF_FRAME_EPOCH = 2023-09-14T11:42:30.000")
-    of_epoch = read_oem(written(tmp_path, fixed), "orbit.oem")
+    of_epoch = read(tmp_path, fixed)
     assert np.array_equal(of_epoch.positions_m[0], teme.positions_m[0])
     # in 11 s the axes turn by precession and nutation, 1e-11 rad
     assert 0.0 < np.abs(of_epoch.positions_m - teme.positions_m).max() < 1e-3
 
 
 def test_strips_in_any_of_several_segments_have_an_orbit(tmp_path: Path) -> None:
-    whole = orbit_of(
-        read_oem(written(tmp_path, text_of(120)), "a"), "a", bundled_table(), allow_stale_eop=True
-    )
+    whole = orbit_of(read(tmp_path, text_of(120)), "a", bundled_table(), allow_stale_eop=True)
     segments = read_segments(written(tmp_path, two_segments(text_of(120))), "orbit.oem")
     joined = joined_segments(segments)
     assert joined is not None and joined.begins == (61,)
@@ -377,12 +358,9 @@ def test_strips_in_any_of_several_segments_have_an_orbit(tmp_path: Path) -> None
         orbit.positions_i([begin - 0.5])
     # A segment that begins with the last state of the one before it leaves no gap; overlapping ones are not
     # joined, and the one over most strips is used.
-    last = replace(
-        segments[0],
-        t_s=np.append(segments[0].t_s, begin),
-        positions_m=np.vstack([segments[0].positions_m, segments[1].positions_m[:1]]),
-        velocities_m_s=np.vstack([segments[0].velocities_m_s, segments[1].velocities_m_s[:1]]),
-    )
+    names = ("positions_m", "velocities_m_s")
+    states = {n: np.vstack([getattr(segments[0], n), getattr(segments[1], n)[:1]]) for n in names}
+    last = replace(segments[0], t_s=np.append(segments[0].t_s, begin), **states)
     touching = joined_segments([last, segments[1]])
     assert touching is not None
     orbit = orbit_of(touching, "orbit.oem", bundled_table(), allow_stale_eop=True)

@@ -5,19 +5,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import tomlkit
-from edits import replaced
+from edits import replaced, rows_of, write_rows
 from handmade import ATTITUDE_HEAD, give_heads, write_handmade_dump
 
 from boresight.geometry.star_camera import SmoothDistortion, StarCamera
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files import star_side
 from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.dump_schema import StarCameraFile
-from boresight.pipeline.files.star_side import (
-    SolvedAttitudes,
-    StarCentroids,
-    star_camera_of,
-    star_camera_table,
-)
+from boresight.pipeline.files.star_side import SolvedAttitudes, StarCentroids, star_camera_of
 from boresight.pipeline.files.text_files import read_toml
 
 HEAD = ATTITUDE_HEAD.format(rotation="head to inertial", removed="annual")
@@ -68,15 +64,8 @@ def test_attitudes_and_points_are_read(attitudes: Path) -> None:
 def test_white_noise_is_stated_once(attitudes: Path) -> None:
     with pytest.raises(RawDataError, match=r"noise\.white_arcsec of STR1.*neither in the rows nor here"):
         changed(attitudes, "white_arcsec = [1, 1, 7]\n", "")
-    text = (
-        (attitudes / "str1.csv")
-        .read_text()
-        .replace("qw\n", "qw,sigma_x_arcsec,sigma_y_arcsec,sigma_z_arcsec\n")
-    )
-    lines = text.splitlines()
-    (attitudes / "str1.csv").write_text(
-        "\n".join([lines[0], *(f"{line},1,1,7" for line in lines[1:])]) + "\n"
-    )
+    sigma = {f"sigma_{axis}_arcsec": value for axis, value in zip("xyz", "117")}
+    write_rows(attitudes / "str1.csv", [row | sigma for row in rows_of(attitudes / "str1.csv")])
     open_dump(attitudes)
     with pytest.raises(RawDataError, match=r"and in the rows of str1\.csv"):
         changed(attitudes, "[star_cameras.noise]\n", "[star_cameras.noise]\nwhite_arcsec = [1, 1, 7]\n")
@@ -143,22 +132,16 @@ def test_centroids_stand_in_for_images(tmp_path: Path) -> None:
 
 
 def test_a_foreign_lens_comes_back_from_its_file(tmp_path):
-    smooth = SmoothDistortion(
-        degree=3, coefficients_px=np.random.default_rng(3).normal(size=(2, 7)), width_px=1000, height_px=800
-    )
-    camera = StarCamera(
-        focal_m=0.02,
-        pixel_m=5e-6,
-        width_px=1000,
-        height_px=800,
-        principal_px=(510.0, 390.0),
-        q1=-1e-4,
-        q3=1e-8,
-        projection="equidistant",
-        smooth=smooth,
-    )
+    size, coefficients = {"width_px": 1000, "height_px": 800}, np.random.default_rng(3).normal(size=(2, 7))
+    lens = {
+        "smooth": SmoothDistortion(degree=3, coefficients_px=coefficients, **size),
+        "q1": -1e-4,
+        "q3": 1e-8,
+    }
+    lens |= {"focal_m": 0.02, "principal_px": (510.0, 390.0), "projection": "equidistant"}
+    camera = StarCamera(pixel_m=5e-6, **size, **lens)
     file, xy_px = tmp_path / "star_camera.toml", np.array([[3.0, 5.0], [700.0, 200.0]])
-    file.write_text(tomlkit.dumps(star_camera_table(camera, 12)), "utf-8")
+    file.write_text(tomlkit.dumps(star_side.star_camera_table(camera, 12)), "utf-8")
     read = star_camera_of(read_toml(file, StarCameraFile, str(file)), str(file))
     error = read.directions_from_pixels(xy_px) - camera.directions_from_pixels(xy_px)
     assert np.abs(error).max() < 1e-14  # rad: the pixel pitch is written with 14 digits

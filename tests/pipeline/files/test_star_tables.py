@@ -26,16 +26,29 @@ STARS = {
 }
 
 
-@pytest.mark.parametrize(("suffix", "kind"), [("csv", "ascii.csv"), ("fits", "fits"), ("vot", "votable")])
-def test_a_table_of_the_gaia_archive_is_read_in_every_format(tmp_path, suffix, kind):
-    path = tmp_path / f"stars.{suffix}"
-    Table(STARS).write(path, format=kind)
-    stars = read_star_table(path, path.name)
-    assert stars.places.hip.tolist() == STARS["source_id"]
-    assert np.degrees(stars.places.ra_rad) == approx(STARS["ra"], abs=1e-12)
-    assert stars.places.pm_ra_rad_yr * np.cos(stars.places.dec_rad) == approx(np.array(STARS["pmra"]) * MAS)
-    assert stars.places.parallax_arcsec == approx([0.546976, 0.768067])
-    assert stars.places.epoch_jyear == 2016.0
+FORMS = {"csv": {"format": "ascii.csv"}, "fits": {"format": "fits"}}
+FORMS |= {
+    f"{form}.vot": {"format": "votable", "tabledata_format": form}
+    for form in ("binary", "binary2", "tabledata")
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_table_of_the_gaia_archive_is_read_in_every_format(tmp_path, form):
+    path = tmp_path / f"stars.{form}"
+    Table(STARS).write(path, **FORMS[form])
+    stars, mas = read_star_table(path, path.name), {name: np.array(STARS[name]) * MAS for name in STARS}
+    places = stars.places
+    assert places.hip.tolist() == STARS["source_id"]
+    assert np.degrees([places.ra_rad, places.dec_rad]) == approx(
+        np.array([STARS["ra"], STARS["dec"]]), abs=1e-12
+    )
+    assert places.pm_ra_rad_yr * np.cos(places.dec_rad) == approx(mas["pmra"])
+    assert places.pm_dec_rad_yr == approx(mas["pmdec"])
+    assert places.parallax_arcsec == approx([0.546976, 0.768067])
+    assert places.epoch_jyear == 2016.0
+    for sigma, of in ((stars.sigma_rad, ""), (stars.sigma_pm_rad_yr, "pm")):  # rms of two axes
+        assert sigma == approx(np.hypot(mas[f"{of}ra_error"], mas[f"{of}dec_error"]) / 2**0.5)
     # ten years later: the position's error, and ten times that of the motion
     assert stars.sigma_at_rad(2026.0)[0] == approx(np.hypot(0.03, 10.0 * np.hypot(0.03, 0.04) / 2**0.5) * MAS)
 

@@ -40,9 +40,8 @@ def test_wrong_file_is_named_with_field_found_and_expected(name: str, handmade: 
 
 def test_orthometric_height_of_a_target_is_raised_by_the_geoid(handmade: Path) -> None:
     # Test point of NGA's EGM96 program F477: the geoid lies 43.575 m below the ellipsoid (its grid: 0.3 m).
-    text = (handmade / "targets.csv").read_text().splitlines()
-    text[1] = text[1].replace("t0,0.00,103.0,100,ellipsoidal", "t0,46.8743190,102.4487290,100,egm96")
-    (handmade / "targets.csv").write_text("\n".join(text) + "\n")
+    there = "t0,46.8743190,102.4487290,100,egm96"
+    replaced(handmade / "targets.csv", "t0,0.00,103.0,100,ellipsoidal", there)
     _, _, height = geodetic_from_ecef(open_dump(handmade).targets[0].p_e, WGS84)
     assert height == pytest.approx(100.0 - 43.575, abs=0.3)
 
@@ -84,17 +83,14 @@ def test_date_outside_the_earth_orientation_table_names_its_limit(tmp_path, day,
     assert re.search(where, str(caught.value)), str(caught.value)
 
 
-def other_strip(root: Path) -> None:
-    write_strip(root / "strips/0.tif", np.ones((100, 64), np.uint8))
-
-
 @pytest.mark.parametrize(
     ("damage", "reason"),
     [
         (lambda root: (root / "strips/0.tif").unlink(), "file: found no such file"),
-        (other_strip, "size: found 64 x 100 px, expected 64 x 200 px"),
+        (lambda root: write_strip(root / "strips/0.tif", np.ones((100, 64), np.uint8)),
+            "size: found 64 x 100 px, expected 64 x 200 px"),
     ],
-)
+)  # fmt: skip
 def test_bad_strip_image_is_left_out_with_its_reason_and_the_rest_goes_on(damage, reason, handmade):
     damage(handmade)
     dump = open_dump(handmade)
@@ -109,11 +105,8 @@ def test_strip_without_any_readable_image_is_left_out_as_a_whole(handmade: Path)
         (handmade / f"strips/{ccd}.tif").unlink()
     dump = open_dump(handmade)
     assert dump.strips == ()
-    assert [(o.subject.kind, o.subject.name) for o in dump.omissions] == [
-        ("ccd", "s1/0"),
-        ("ccd", "s1/1"),
-        ("strip", "s1"),
-    ]
+    told = [(o.subject.kind, o.subject.name) for o in dump.omissions]
+    assert told == [("ccd", "s1/0"), ("ccd", "s1/1"), ("strip", "s1")]
 
 
 @pytest.mark.parametrize(

@@ -15,28 +15,11 @@ from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 BOLD = Rotation.from_euler("xyz", [-70, 25, 140], degrees=True)
 CAMERAS = CameraPair(BOLD, n_ccds=3, ccd_px=9000)
-PLAN = StripPlan(
-    strips=3,
-    exposures=6,
-    stars=12,
-    targets=7,
-    sigma_position_m=3.0,
-    sigma_clock_s=3e-4,
-    sigma_vibration_rad=0.2 * ARCSEC,
-    sigma_distortion_rad=5e-7,
-    sigma_target_m=0.7,
-)
-SETTINGS = CalibrationSettings(
-    robust=False,
-    sigma_position_m=3.0,
-    sigma_clock_s=3e-4,
-    sigma_vibration_rad=0.2 * ARCSEC,
-    sigma_distortion_rad=5e-7,
-    sigma_ccd_shift_rad=2e-7,
-    sigma_ccd_slope_rad=1e-7,
-    sigma_ccd_bend_rad=1e-7,
-    ccd_px=(9000,) * 3,
-)
+STATED = {"sigma_position_m": 3.0, "sigma_clock_s": 3e-4, "sigma_distortion_rad": 5e-7}
+STATED |= {"sigma_vibration_rad": 0.2 * ARCSEC}
+PLAN = StripPlan(strips=3, exposures=6, stars=12, targets=7, sigma_target_m=0.7, **STATED)
+OF_CCDS = {"sigma_ccd_shift_rad": 2e-7, "sigma_ccd_slope_rad": 1e-7, "sigma_ccd_bend_rad": 1e-7}
+SETTINGS = CalibrationSettings(robust=False, ccd_px=(9000,) * 3, **STATED, **OF_CCDS)
 STRIPS = with_attitudes(draw_strips(PLAN, CAMERAS, np.random.default_rng(11))[0], SETTINGS.attitudes)
 ESTIMATE = calibrate_strips(STRIPS, BOLD, SETTINGS)
 BUDGET = {one.source: one.covariance for one in uncertainty_budget(STRIPS, ESTIMATE.R_cs, SETTINGS)}

@@ -10,13 +10,10 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from two_trackers import ARCSEC, CORRELATED, R_SH, ROWS, STEP, WHITE, T, errors, tracks
 
+from boresight.pipeline.head_noise import spectrum
 from boresight.pipeline.head_noise.of_dump import _single
 from boresight.pipeline.head_noise.spectrum import (
     Signal,
-    _axes_density,
-    _between_means,
-    _unlike,
-    _variance_of_means,
     allan_deviation,
     difference_signal,
     fit_noise,
@@ -56,7 +53,7 @@ def test_what_lasts_longer_than_a_strip_makes_means_of_every_axis_uncertain() ->
         a, b = (Rotation.from_rotvec(c[piece]) * one.R_hi for one, c in zip(pair, slow))
         fit = fit_noise(difference_signal(a, [(b, R_SH)], pieces_of(T)), 26.0)
         log = [[n.white_rad, n.correlated_rad, n.correlation_time_s] for n in fit.heads]
-        of_means = _variance_of_means(np.log(np.swapaxes(log, 1, 2)), 260, STEP)
+        of_means = spectrum._variance_of_means(np.log(np.swapaxes(log, 1, 2)), 260, STEP)
         constant = np.array([n.constant_rad for n in fit.heads])
         variance.append((of_means + constant**2) / (0.4 * total) ** 2)
     assert np.all(np.abs(np.log(np.mean(variance, axis=0))) < np.log(2.0))
@@ -106,9 +103,8 @@ def test_allan_deviation_of_white_noise_falls_with_the_root_of_time() -> None:
 
 
 def test_record_without_a_long_piece_is_refused() -> None:
-    signal = Signal(
-        values=np.zeros((50, 3)), pieces=(slice(0, 25), slice(25, 50)), step_s=0.1, enters=np.eye(3)[None]
-    )
+    pieces = (slice(0, 25), slice(25, 50))
+    signal = Signal(values=np.zeros((50, 3)), pieces=pieces, step_s=0.1, enters=np.eye(3)[None])
     with pytest.raises(ValueError, match="25 rows, 32 are needed"):
         fit_noise(signal, 26.0)
 
@@ -129,9 +125,8 @@ def test_a_coarse_record_of_one_head_is_refused_since_all_that_it_shows_is_motio
     """As kernels of attitudes every ten seconds are: no frequency lies above those of the motion."""
     t = step_s * np.arange(400)
     wave = np.radians(0.5) * np.outer(np.sin(t / 97.0), [1.0, -0.4, 0.7])
-    signal = Signal(
-        values=wave, pieces=(slice(0, 400),), step_s=step_s, enters=np.eye(3)[None], lowest_hz=0.5
-    )
+    of = {"step_s": step_s, "enters": np.eye(3)[None], "lowest_hz": 0.5}
+    signal = Signal(values=wave, pieces=(slice(0, 400),), **of)
     with pytest.raises(ValueError, match=r"rows every .* s show 0 frequencies above 0\.5 Hz"):
         fit_noise(signal, 26.0)
 
@@ -151,12 +146,9 @@ def test_attitudes_between_instants_are_carried_by_the_smoothed_motion() -> None
     shifted = replace(b, t_s=T + 0.04)
     first, rows = common_instants(a, shifted)
     assert len(rows) == ROWS
-    here = carried_to(
-        a, first, shifted.t_s[rows], Rotation.from_rotvec(np.outer(shifted.t_s, [0.0, 1.1e-3, 0.0]))
-    )
-    true = Rotation.from_rotvec(np.outer(0.5e-4 * shifted.t_s**2, [0.6, -0.5, 0.62])) * Rotation.from_rotvec(
-        np.outer(shifted.t_s, [0.0, 1.1e-3, 0.0])
-    )
+    nominal = Rotation.from_rotvec(np.outer(shifted.t_s, [0.0, 1.1e-3, 0.0]))
+    here = carried_to(a, first, shifted.t_s[rows], nominal)
+    true = Rotation.from_rotvec(np.outer(0.5e-4 * shifted.t_s**2, [0.6, -0.5, 0.62])) * nominal
     rms = np.sqrt(np.mean((here * true.inv()).as_rotvec() ** 2, axis=0)) / ARCSEC
     assert np.all(rms < 1.15 * np.hypot(WHITE[0], CORRELATED[0]))  # little more than the row's own noise
 
@@ -198,28 +190,29 @@ def test_covariance_of_means_is_that_of_all_pairs_of_a_part_in_units_of_the_leve
         off = [(part - np.vstack(parts).mean(axis=0)) / np.sqrt(level) for part in parts]
         pairs = [(one[n], one[n + lag]) for one in off for n in range(len(one) - lag)]
         expected = np.mean([first * later for first, later in pairs])
-        assert _between_means(parts, lag, level) == pytest.approx(expected, rel=1e-12)
+        assert spectrum._between_means(parts, lag, level) == pytest.approx(expected, rel=1e-12)
 
 
 def test_gradient_of_the_prior_of_alike_heads_is_that_of_differences() -> None:
     rng = np.random.default_rng(5)
     x, start = rng.normal(size=(2, 2, 3, 3))
-    _, gradient = _unlike(x, start)
+    _, gradient = spectrum._unlike(x, start)
     for place in np.ndindex(x.shape):
         step = np.zeros(x.shape)
         step[place] = 1e-5
-        slope = (_unlike(x + step, start)[0] - _unlike(x - step, start)[0]) / 2e-5
+        slope = (spectrum._unlike(x + step, start)[0] - spectrum._unlike(x - step, start)[0]) / 2e-5
         assert gradient[place] == pytest.approx(slope, abs=1e-6)  # of a quadratic form: rounding alone
 
 
 def test_density_of_an_axis_is_that_of_white_and_first_order_noise_and_its_changes_are_differences() -> None:
     step_s, omega = 0.3, np.array([0.02, 0.7, 1.9, 3.1])  # s; rad a sample
     x = np.random.default_rng(6).normal(size=(2, 3, 3)) * [0.5, 0.5, 1.5]  # heads, axes; logarithms
-    density, by_x = _axes_density(x, omega, step_s)
+    density_of = spectrum._axes_density
+    density, by_x = density_of(x, omega, step_s)
     lags = np.arange(-2000, 2001)  # of the autocovariance: correlation times of 30 steps at most
     white, correlated, time_s = np.moveaxis(np.exp(x), -1, 0)[..., None]
     covariance = correlated**2 * np.exp(-step_s * np.abs(lags) / time_s) + white**2 * (lags == 0)
     np.testing.assert_allclose(density, np.einsum("fl,hal->fha", np.cos(np.outer(omega, lags)), covariance))
     for p, h in enumerate(1e-5 * np.eye(3)):
-        slope = (_axes_density(x + h, omega, step_s)[0] - _axes_density(x - h, omega, step_s)[0]) / 2e-5
+        slope = (density_of(x + h, omega, step_s)[0] - density_of(x - h, omega, step_s)[0]) / 2e-5
         np.testing.assert_allclose(by_x[..., p], slope, rtol=1e-6, atol=1e-8 * density.max())  # curvature

@@ -38,9 +38,8 @@ NUMBER = re.compile(
 def scales(svg: str) -> tuple[Any, list[Any]]:
     """From places in a figure to x, and in each of its panels to y, by the numbers beside the axes."""
     numbers = [(float(x), float(y), end, float(t.replace("−", "-"))) for x, y, end, t in NUMBER.findall(svg)]
-    across = np.polynomial.Polynomial.fit(
-        *np.array([(x, t) for x, _, end, t in numbers if end == "middle"]).T, 1
-    )
+    middle = np.array([(x, t) for x, _, end, t in numbers if end == "middle"])
+    across = np.polynomial.Polynomial.fit(*middle.T, 1)
     down = np.array([(y - 3.0, t) for _, y, end, t in numbers if end == "end"])  # the baseline is 3 pt below
     panels = np.split(down, np.flatnonzero(np.diff(down[:, 1]) < 0.0) + 1)
     return across, [np.polynomial.Polynomial.fit(*panel.T, 1) for panel in panels]
@@ -56,12 +55,9 @@ def test_residuals_of_stars_stand_at_their_samples_and_lines() -> None:
         targets=pa.table(table, pa.schema([("ccd", pa.int64()), ("xy_px", fixed), ("residual_c", fixed)])),
     )
     drawings = figures.star_residual_panels(saved, [card(0), card(1)])  # type: ignore[arg-type]
-    places = {
-        "residual-star-sample": [10.0, 512.0 + 500.0 + 30.5],  # CCDs side by side
-        "residual-star-line": [700.0, 200.0],
-    }
+    places = {"sample": [10.0, 512.0 + 500.0 + 30.5], "line": [700.0, 200.0]}  # CCDs side by side
     for (name, x), drawing in zip(places.items(), drawings, strict=True):
-        assert f'id="{name}-words"' in drawing.svg
+        assert f'id="residual-star-{name}-words"' in drawing.svg
         to_x, to_y = scales(drawing.svg)
         at = np.array(re.findall(r'class="dot [^>]*translate\(([\d.]+) ([\d.]+)\)', drawing.svg), dtype=float)
         assert len(to_y) == 2 and len(at) == 4
@@ -114,24 +110,24 @@ def test_an_axis_holds_its_values_and_one_with_equal_ratios_those_above_zero() -
     np.testing.assert_allclose(log.shares([log.low, np.sqrt(log.low * log.high), log.high]), [0.0, 0.5, 1.0])
 
 
+def view_of(boxes: dict[str, list[float]], ground: dict[str, Any]) -> Any:
+    """The map of scenes of one strip each, by the strip's id."""
+    place = {"lat_deg": -33.0, "lon_deg": -70.0}
+    scenes = [place | {"box_m": box, "strips": [{"id": id, "outlines_m": []}]} for id, box in boxes.items()]
+    saved = SimpleNamespace(
+        context={"scenes": scenes}, ground=pa.table(ground), map=pa.table({}), validation={}
+    )
+    view = map_view(saved, [card(n) for n in range(len(ground["scene"]))])  # type: ignore[arg-type]
+    assert view is not None
+    return view
+
+
 def test_the_scales_of_the_map_are_those_of_its_places_and_arrows() -> None:
     east, north = [100.0, 8100.0, 100.0], [200.0, 200.0, 6200.0]
     toward = [[3.0, 4.0], [0.0, 2.5], [-1.0, 0.0]]  # m east and north
-    ground = {
-        "scene": [0, 0, 0],
-        "east_m": east,
-        "north_m": north,
-        "residual_east_m": [one[0] for one in toward],
-        "residual_north_m": [one[1] for one in toward],
-        "residual_m": [5.0, 2.5, 1.0],
-    }
-    box = [-1000.0, -500.0, 11_000.0, 8_500.0]
-    scene = {"box_m": box, "lat_deg": -33.0, "lon_deg": -70.0, "strips": [{"id": "s01", "outlines_m": []}]}
-    saved = SimpleNamespace(
-        context={"scenes": [scene]}, ground=pa.table(ground), map=pa.table({}), validation={}
-    )
-    view = map_view(saved, [card(n) for n in range(3)])  # type: ignore[arg-type]
-    assert view is not None
+    ground = {"scene": [0, 0, 0], "east_m": east, "north_m": north, "residual_m": [5.0, 2.5, 1.0]}
+    ground |= dict(zip(("residual_east_m", "residual_north_m"), map(list, zip(*toward))))
+    view = view_of({"s01": [-1000.0, -500.0, 11_000.0, 8_500.0]}, ground)
     spots = {spot.row.row: spot for spot in view.spots}
     # Places are rounded to 0.01 units, of some 10 m each.
     metres = view.metres
@@ -147,20 +143,10 @@ def test_the_scales_of_the_map_are_those_of_its_places_and_arrows() -> None:
 
 
 def test_numbers_of_a_star_are_those_of_its_row_in_its_units() -> None:
-    covariance = [0.0121, 0.002, 0.002, 0.0484]  # px², row after row
-    row = {
-        "range_m": float("inf"),
-        "kept": True,
-        "normalised": 6.25,  # squared
-        "strip_id": "sky01",
-        "target_id": "HIP 17499",
-        "ccd": 2,
-        "xy_px": [211.5, 907.25],
-        "cov_px": covariance,
-        "residual_c": [3e-6, -7e-6],
-        "t_s": 12.5,
-        "probability_wrong": 2e-7,
-    }
+    row = {"range_m": float("inf"), "kept": True, "t_s": 12.5, "probability_wrong": 2e-7}
+    row |= {"normalised": 6.25, "residual_c": [3e-6, -7e-6]}  # the former is squared
+    row |= {"strip_id": "sky01", "target_id": "HIP 17499", "ccd": 2, "xy_px": [211.5, 907.25]}
+    row |= {"cov_px": [0.0121, 0.002, 0.002, 0.0484]}  # px², row after row
     table = pa.Table.from_pylist([row])
     no_matches = pa.table({name: [] for name in ("strip_id", "target_id", "ccd")})
     context = {"epoch_utc": "2025-03-20T03:40:00Z"}
@@ -168,15 +154,8 @@ def test_numbers_of_a_star_are_those_of_its_row_in_its_units() -> None:
     saved.cell = partial(Saved.cell, saved)
     (star,) = strip_star_rows(saved, 3)  # type: ignore[arg-type]
     arcsec = 648_000.0 / np.pi
-    expected = {
-        "sigmas": 2.5,
-        "sample_px": 211.5,
-        "line_px": 907.25,
-        "sigma_sample_px": 0.11,
-        "sigma_line_px": 0.22,
-        "residual_x": 3e-6 * arcsec,
-        "residual_y": -7e-6 * arcsec,
-    }
+    expected = {"sigmas": 2.5, "residual_x": 3e-6 * arcsec, "residual_y": -7e-6 * arcsec}
+    expected |= {"sample_px": 211.5, "line_px": 907.25, "sigma_sample_px": 0.11, "sigma_line_px": 0.22}
     shown = {name: star.numbers[name] for name in expected}
     assert {name: one.exact * one.scale for name, one in shown.items()} == pytest.approx(expected)
     assert star.name == "HIP 17499, strip sky01, CCD 2" and star.key == "used" and star.printed
@@ -184,18 +163,10 @@ def test_numbers_of_a_star_are_those_of_its_row_in_its_units() -> None:
 
 def test_the_middle_of_each_scene_is_that_of_its_cell_below_the_caption() -> None:
     boxes = [[-1e3, -5e2, 11e3, 85e2], [3e3, 4e3, 7e3, 5e3], [-9e3, 2e2, 1e3, 5e3], [0.0, 0.0, 5e2, 3e3]]
-    scenes = [
-        {"box_m": box, "lat_deg": -33.0, "lon_deg": -70.0, "strips": [{"id": f"s{n}", "outlines_m": []}]}
-        for n, box in enumerate(boxes)
-    ]
     west, south, east, north = np.array(boxes).T
     residual = dict.fromkeys(("residual_east_m", "residual_north_m", "residual_m"), [1.0] * 4)
     ground = {"scene": [0, 1, 2, 3], "east_m": (west + east) / 2, "north_m": (south + north) / 2} | residual
-    saved = SimpleNamespace(
-        context={"scenes": scenes}, ground=pa.table(ground), map=pa.table({}), validation={}
-    )
-    view = map_view(saved, [card(n) for n in range(4)])  # type: ignore[arg-type]
-    assert view is not None
+    view = view_of({f"s{n}": box for n, box in enumerate(boxes)}, ground)
     places = {spot.row.row: (spot.x, spot.y) for spot in view.spots}
     columns, _ = _layout(4, np.array([12e3, 9e3]))  # of the largest scene
     assert 1 < columns < 4
@@ -221,18 +192,11 @@ def test_the_arrow_of_a_check_point_is_its_error_to_scale_and_points_the_right_w
 
 
 def test_angles_of_several_dumps_are_in_seconds_of_arc() -> None:
-    covariance = [[0.0] * 3 for _ in range(3)]
-    for n, sigma in enumerate((1e-5, 2e-5, 3e-5)):
-        covariance[n][n] = sigma**2
+    covariance = np.diag(np.array([1e-5, 2e-5, 3e-5]) ** 2).tolist()
     content = {"theta": [4e-5, -5e-5, 6e-5], "cov": covariance}
     found = angles(content, "joint.json", "theta", "cov")
-    arcsec = 648_000.0 / np.pi
-    assert [one.exact * one.scale for one in found["theta"]] == pytest.approx(
-        arcsec * np.array(content["theta"])
-    )
-    assert [one.exact * one.scale for one in found["sigma"]] == pytest.approx(
-        arcsec * np.array([1e-5, 2e-5, 3e-5])
-    )
+    for name, rad in (("theta", content["theta"]), ("sigma", [1e-5, 2e-5, 3e-5])):
+        assert [one.exact * one.scale for one in found[name]] == pytest.approx(np.degrees(rad) * 3600.0)
 
 
 def test_what_a_change_leaves_is_in_seconds_of_arc_the_one_that_helps_the_weakest_axis_most_first() -> None:
@@ -255,3 +219,29 @@ def test_places_on_the_sky_are_those_of_the_gnomonic_projection_of_astropy() -> 
     mean, east_north = SkyCoord(stars.cartesian.mean()), wcs.all_world2pix(stars.ra.deg, stars.dec.deg, 1)
     np.testing.assert_allclose(place.T, east_north, rtol=0.0, atol=1e-11)  # degrees: rounding of radians
     np.testing.assert_allclose(middle, [mean.ra.deg, mean.dec.deg], rtol=0.0, atol=1e-11)
+
+
+def test_captions_say_the_sigmas_and_the_correlation_of_their_axes() -> None:
+    sigma = np.array([0.7, 2.5, 11.0])  # arcsec
+    correlation = np.array([[1.0, -0.4, 0.15], [-0.4, 1.0, 0.6], [0.15, 0.6, 1.0]])
+    covariance = correlation * np.outer(sigma, sigma) * np.radians(1.0 / 3600.0) ** 2
+    saved = SimpleNamespace(installation={"covariance_rad2": covariance.tolist()})
+    found = figures.covariance_ellipses(saved)  # type: ignore[arg-type]
+    for drawing, (a, b) in zip(found, ((0, 1), (0, 2), (1, 2)), strict=True):
+        names, first, second, related = re.match(
+            r"(\w+): 1σ ([\d.]+)″ and ([\d.]+)″, correlation ([-+\d.]+)\.", drawing.caption
+        ).groups()  # type: ignore[union-attr]
+        assert names == "XYZ"[a] + "XYZ"[b]
+        # four digits are written of a sigma, three decimals of a correlation
+        assert [float(first), float(second)] == pytest.approx([sigma[a], sigma[b]], rel=1e-3)
+        assert float(related) == pytest.approx(correlation[a, b], abs=5e-4)
+        drawn = re.findall(
+            r'<path d="M([^"MZm]+)" style="fill:none;stroke:var\(--ink\);stroke-width:1.4', drawing.svg
+        )
+        to_x, (to_y,) = scales(drawing.svg)
+        for ring, sigmas in zip(drawn, (1.0, 2.4477), strict=True):
+            x, y = np.array([point.split() for point in ring.split("L")], dtype=float).T
+            x, y = to_x(x), to_y(y)
+            farthest = sigmas * sigma[[a, b]]  # of the ellipse, at the other's regression
+            np.testing.assert_allclose([x.max(), y.max()], farthest, atol=0.01 * farthest.max())
+            assert y[x.argmax()] == pytest.approx(correlation[a, b] * farthest[1], abs=0.12 * farthest[1])

@@ -26,6 +26,9 @@ from boresight.pipeline.stages.match_pictures import match_pictures
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips, installation_by_tilt
 from boresight.star_id.settings import StarSettings
 
+ERRORS = ("sigma_position_m", "sigma_clock_s", "sigma_vibration_rad", "sigma_distortion_rad")
+NONE = dict.fromkeys(ERRORS, 0.0)
+
 
 def table(finished, name):
     return pq.read_table(finished[1] / "evidence" / f"{name}.parquet")
@@ -50,9 +53,8 @@ def test_convergence_knows_nothing_while_one_axis_is_not_observable(monkeypatch)
     monkeypatch.setattr(evidence, "passes_of", lambda strips, _: strips)
     first, last = evidence._convergence(Of(strips=strips, **of)).to_pylist()
     assert np.isnan(first["theta_rad"]).all() and np.isinf(first["sigma_rad"]).all()
-    assert last["theta_rad"] == approx([3e-6, -2e-6, 1e-6]) and last["sigma_rad"] == approx(
-        [5e-6, 2.5e-6, 2e-6]
-    )
+    assert last["theta_rad"] == approx([3e-6, -2e-6, 1e-6])
+    assert last["sigma_rad"] == approx([5e-6, 2.5e-6, 2e-6])
     assert [(one["frames"], one["targets"]) for one in (first, last)] == [(4, 3), (9, 6)]
 
 
@@ -113,10 +115,8 @@ def test_places_are_those_of_pictures_cut_about_their_middle():
         for png in (made.difference_png, made.surface_png)
     )
     assert shown.shape == (160, 160) and peaks.shape == (96, 96)
-    for picture, x, y in (
-        (shown, made.place_x, made.place_y),
-        (peaks, made.surface_x + made.off_x_px, made.surface_y + made.off_y_px),
-    ):
+    at_peak = made.surface_x + made.off_x_px, made.surface_y + made.off_y_px
+    for picture, (x, y) in ((shown, (made.place_x, made.place_y)), (peaks, at_peak)):
         assert picture[round(y), round(x)] == picture.max() == 255.0
 
 
@@ -124,9 +124,7 @@ def test_spread_of_cross_angles_is_the_predicted_one():
     # Vectors drawn with white errors only: z over its prediction has unit variance. The pairs of one target
     # share its error, so 8 x 12 targets count: 1 / sqrt(2 * 96) = 7 %, three times that holds.
     plan = StripPlan(strips=8, wave_rad=(0.0, 0.0))
-    settings = CalibrationSettings(
-        sigma_position_m=0.0, sigma_clock_s=0.0, sigma_vibration_rad=0.0, sigma_distortion_rad=0.0
-    )
+    settings = CalibrationSettings(**NONE)
     R_cs = installation_by_tilt(np.radians(15.0))
     strips, _ = draw_strips(plan, CameraPair(R_cs), np.random.default_rng(4))
     motions = [motion_of(strip) for strip in strips]
@@ -140,12 +138,8 @@ def test_spread_of_cross_angles_is_the_predicted_one():
 def test_variance_of_a_cross_angle_is_that_of_everything_it_depends_on():
     # The angles are differentiated by differences: each error moved by its own sigma, the squares added.
     position_m, vibration_rad = 2.0, 4e-7
-    settings = CalibrationSettings(
-        sigma_position_m=position_m,
-        sigma_clock_s=0.0,
-        sigma_vibration_rad=vibration_rad,
-        sigma_distortion_rad=0.0,
-    )
+    sizes = {"sigma_position_m": position_m, "sigma_vibration_rad": vibration_rad}
+    settings = CalibrationSettings(**NONE | sizes)
     R_cs = installation_by_tilt(np.radians(15.0))
     plan = StripPlan(strips=1, targets=4, duration_s=1.0, exposures=6, wave_rad=(0.0, 0.0))
     motion = motion_of(draw_strips(plan, CameraPair(R_cs), np.random.default_rng(5))[0][0])
@@ -211,14 +205,10 @@ def motion_of(strip):
         u = exposure.u_s
         information = ((np.eye(3) - u[:, :, None] * u[:, None, :]) / weight[:, None, None]).sum(axis=0)
         covariances.append(np.linalg.inv(information))
-    return MeasuredStrip(
-        strip=strip,
-        orbit=Still(strip),
-        R_si=Rotation.concatenate(attitudes),
-        covariance_s=np.array(covariances),
-        stars_kept=tuple(np.ones(len(e.hip), dtype=bool) for e in strip.exposures),
-        targets_kept=np.ones(len(strip.ground.target_id), dtype=bool),
-    )
+    kept = {"stars_kept": tuple(np.ones(len(e.hip), dtype=bool) for e in strip.exposures)}
+    kept |= {"targets_kept": np.ones(len(strip.ground.target_id), dtype=bool)}
+    fitted = {"R_si": Rotation.concatenate(attitudes), "covariance_s": np.array(covariances)}
+    return MeasuredStrip(strip=strip, orbit=Still(strip), **fitted, **kept)
 
 
 def test_detections_of_the_star_image_are_told_apart():
@@ -242,17 +232,10 @@ def test_detections_of_the_star_image_are_told_apart():
 
 
 def sighted_at(xy_px):
-    n = len(xy_px)
-    u = np.tile([0.0, 0.0, 1.0], (n, 1))
-    return StarSightings(
-        exposure_id="E1",
-        t_s=0.0,
-        hip=101 + np.arange(n),
-        xy_px=xy_px,
-        u_s=u,
-        u_i=u,
-        cov_s=isotropic_covariance(u, 1e-6),
-    )
+    u = np.tile([0.0, 0.0, 1.0], (len(xy_px), 1))
+    directions = {"u_s": u, "u_i": u, "cov_s": isotropic_covariance(u, 1e-6)}
+    hip = 101 + np.arange(len(xy_px))
+    return StarSightings(exposure_id="E1", t_s=0.0, hip=hip, xy_px=xy_px, **directions)
 
 
 @pytest.mark.parametrize("side", [3000, 5000])

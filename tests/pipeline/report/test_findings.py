@@ -26,33 +26,23 @@ from boresight.records.ledger import Entry, Kind, Reason, State, Subject
 NAMES = [f"t{n}" for n in range(12)]
 
 
-def row(strip_id, target_id, *, ccd=0, state=State.UNMATCHED, cause="low correlation", **more):
-    numbers = dict.fromkeys(("residual_m", "residual_east_m", "residual_north_m"), np.nan)
-    texts = {"strip_id": strip_id, "target_id": target_id, "state": state, "cause": cause, "reason": "why"}
-    return numbers | texts | {"ccd": ccd} | more
-
-
 @pytest.mark.parametrize(
-    ("sign", "words"),
-    [
-        (-1.0, "the targets' heights are EGM96 but stated as ellipsoidal"),
-        (1.0, "the targets' heights are ellipsoidal but stated as EGM96"),
-    ],
+    ("sign", "kinds"), [(-1.0, ("EGM96", "ellipsoidal")), (1.0, ("ellipsoidal", "EGM96"))]
 )
-def test_heights_off_by_the_geoid_name_the_kind_of_height(sign, words):
+def test_heights_off_by_the_geoid_name_the_kind_of_height(sign, kinds):
     # A height H above EGM96 taken for ellipsoidal is too low by the undulation N: above the terrain by -N.
     geoid_m = -37.5
     (found,) = heights(NAMES, sign * geoid_m + np.linspace(-1.0, 1.0, 12), lambda: geoid_m, {})
     assert found.cause == "kind of height" and found.is_fault
-    assert words in found.text and f"{sign * geoid_m:+.1f} m (median)" in found.text
+    assert "the targets' heights are {} but stated as {}".format(*kinds) in found.text
+    assert f"{sign * geoid_m:+.1f} m (median)" in found.text
 
 
 def test_other_heights_are_named_by_size_or_by_target_and_noise_is_not():
     noise = np.random.default_rng(3).normal(0.0, 1.5, 12)
     assert list(heights(NAMES, noise, lambda: -37.5, {})) == []
-    assert (
-        list(heights(NAMES, np.where(np.arange(12) < 10, np.nan, 200.0), lambda: -37.5, {})) == []
-    )  # two known
+    two_known = np.where(np.arange(12) < 10, np.nan, 200.0)
+    assert list(heights(NAMES, two_known, lambda: -37.5, {})) == []
     (offset,) = heights(NAMES, noise + 12.0, lambda: -37.5, {})
     assert offset.cause == "heights of targets or terrain" and "+1" in offset.text
     wrong = noise.copy()
@@ -69,21 +59,14 @@ def test_other_heights_are_named_by_size_or_by_target_and_noise_is_not():
 
 
 def test_bright_places_without_contrast_are_clouds_and_dark_ones_are_not():
-    used = [(f"u{n}", 100.0, 20.0) for n in range(3)]
-    seen = {
-        State.USED: used,
-        State.UNMATCHED: [("white", 240.0, 3.0), ("dark", 10.0, 1.0), ("town", 240.0, 60.0)],
-    }
+    used, dark = [(f"u{n}", 100.0, 20.0) for n in range(3)], ("dark", 10.0, 1.0)
+    seen = {State.USED: used, State.UNMATCHED: [("white", 240.0, 3.0), dark, ("town", 240.0, 60.0)]}
     (cloud,) = clouds("s1", seen)
-    assert (
-        cloud.item == "strip s1"
-        and [target.id for target in cloud.explains] == ["white"]
-        and not cloud.is_fault
-    )
-    assert list(clouds("s1", seen | {State.UNMATCHED: [("dark", 10.0, 1.0)]})) == []
-    assert (
-        list(clouds("s1", seen | {State.USED: used[:2]})) == []
-    )  # too few to know what the ground looks like
+    assert cloud.item == "strip s1" and not cloud.is_fault
+    assert [target.id for target in cloud.explains] == ["white"]
+    assert list(clouds("s1", seen | {State.UNMATCHED: [dark]})) == []
+    few = seen | {State.USED: used[:2]}  # too few to know what the ground looks like
+    assert list(clouds("s1", few)) == []
 
 
 def target(strip_id, name, ccd=0):

@@ -58,15 +58,11 @@ def test_changes_of_the_data_have_the_effect_that_statistics_gives_them():
     plan = StripPlan(strips=3, targets=8, across=(-0.5, 0.5), sigma_position_m=5.0)
     cameras = CameraPair(installation_by_tilt(np.radians(40.0), 0.7))
     strips, truth = draw_strips(plan, cameras, np.random.default_rng(2))
-    settings = CalibrationSettings(
-        sigma_position_m=5.0, sigma_clock_s=0.0, sigma_vibration_rad=0.0, sigma_distortion_rad=0.0
-    )
-    fitted = [
-        replace(strip, attitudes=fit_exposures(strip.exposures, settings.attitudes)) for strip in strips
-    ]
-    found = {
-        one.change: one.sigma_ratio for one in improvements(fitted, truth.R_cs, settings, camera(cameras))
-    }
+    none = dict.fromkeys(("sigma_clock_s", "sigma_vibration_rad", "sigma_distortion_rad"), 0.0)
+    settings = CalibrationSettings(sigma_position_m=5.0, **none)
+    fitted = [replace(one, attitudes=fit_exposures(one.exposures, settings.attitudes)) for one in strips]
+    told = improvements(fitted, truth.R_cs, settings, camera(cameras))
+    found = {one.change: one.sigma_ratio for one in told}
     assert found["twice as many strips"] == approx(np.full(3, np.sqrt(0.5)), rel=1e-3)
     assert found["half the error of position"][:2] == approx([0.5, 0.5], abs=0.02)
     assert found["half the error of the clock"] == approx(np.ones(3), rel=1e-6)
@@ -82,12 +78,12 @@ def test_targets_of_one_reference_can_be_twice_as_many():
     cameras = CameraPair(installation_by_tilt(np.radians(40.0), 0.7))
     strips, truth = draw_strips(StripPlan(strips=3), cameras, np.random.default_rng(2))
     n, settings = StripPlan().targets, CalibrationSettings(sigma_position_m=5.0)
-    mosaic = GroundReferences(
-        name=np.full(n, "mosaic"),
-        axes_i=np.tile(np.eye(3), (n, 1, 1)),
-        sigma_m=np.full((n, 3), 1e-3),
-        place=np.zeros((n, 3)),
-    )
+    offset = {
+        "axes_i": np.tile(np.eye(3), (n, 1, 1)),
+        "sigma_m": np.full((n, 3), 1e-3),
+        "place": np.zeros((n, 3)),
+    }
+    mosaic = GroundReferences(name=np.full(n, "mosaic"), **offset)
     strips = [replace(one, attitudes=fit_exposures(one.exposures, settings.attitudes)) for one in strips]
     of_mosaic = [replace(one, ground=replace(one.ground, references=mosaic)) for one in strips]
     without, found = (improvements(of, truth.R_cs, settings, camera(cameras)) for of in (strips, of_mosaic))
@@ -98,19 +94,9 @@ def test_targets_of_one_reference_can_be_twice_as_many():
 def camera(cameras: CameraPair) -> LineCamera:
     pitch_m, focal_m = 1e-5, 1e-5 / cameras.pixel_rad
     width = cameras.ccd_px * pitch_m
-    ccds = tuple(
-        Ccd(
-            n_px=cameras.ccd_px,
-            y_first_m=(n - 0.5 * cameras.n_ccds) * width,
-            x_offset_m=0.0,
-            rotation_rad=0.0,
-            pixel_m=pitch_m,
-            principal_sample=0.0,
-            distortion_samples=np.array([0.0, cameras.ccd_px - 1.0]),
-            distortion_offsets_m=np.zeros(2),
-        )
-        for n in range(cameras.n_ccds)
-    )
+    of_all = {"n_px": cameras.ccd_px, "x_offset_m": 0.0, "rotation_rad": 0.0, "pixel_m": pitch_m}
+    firsts = (np.arange(cameras.n_ccds) - 0.5 * cameras.n_ccds) * width
+    ccds = tuple(Ccd(y_first_m=float(first), principal_sample=0.0, **of_all) for first in firsts)
     return LineCamera(focal_m, ccds, 1, "middle")
 
 

@@ -23,28 +23,11 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.report.saved import EVIDENCE, Saved, read_saved
 from boresight.pipeline.results.sightings_tables import COLUMNS
 
-SECTIONS = {
-    "map",
-    "matrix",
-    "checks",
-    "blind",
-    "targets",
-    "residuals",
-    "accuracy",
-    "exposures",
-    "convergence",
-    "angles",
-    "stars",
-    "image",
-    "covariance",
-    "statistics",
-    "omitted",
-    "provenance",
-    "cards",
-}
+SECTIONS = set(
+    "map matrix checks blind targets residuals accuracy exposures convergence angles stars image covariance "
+    "statistics omitted provenance cards".split()
+)
 VOID = {"meta", "link", "img", "br", "input"}
-
-
 MORE = re.compile(r'<script type="application/json" id="more-cards">(.*?)</script>', re.DOTALL)
 
 
@@ -58,9 +41,7 @@ class Page(HTMLParser):
         self.open: list[int] = []
         self.children: dict[int, list[int]] = {}
         more = MORE.search(text)
-        cards = (
-            json.loads(more[1]).values() if more else ()
-        )  # as the page puts them in when they are asked for
+        cards = json.loads(more[1]).values() if more else ()  # put in as by the page when they are asked for
         self.feed(MORE.sub("", text).replace("</main>", "".join(cards) + "</main>"))
         self.close()
         assert not self.open, "elements that are not closed"
@@ -123,9 +104,8 @@ def test_every_picture_has_words(page: Page):
     drawings = [(n, a) for n, a in page.all("svg") if a.get("aria-hidden") != "true"]
     assert len(drawings) >= 11
     for n, attributes in drawings:
-        assert attributes["role"] == (
-            "group" if attributes.get("id") == "map-sheet" else "img"
-        )  # it holds links
+        holds_links = attributes.get("id") == "map-sheet"
+        assert attributes["role"] == ("group" if holds_links else "img")
         title = ids[attributes["aria-labelledby"]]
         assert title in page.children[n] and len(page.texts[title]) > 20
 
@@ -330,12 +310,9 @@ def test_required_accuracy_is_kept_and_compared_with_each_axis(result):
 
 def test_a_result_with_next_to_nothing_in_it_gets_a_whole_page_too(finished):
     saved = read_saved(finished[1])
-    names = ("angles", "matches", "ledger", "inputs", "convergence")
-    empty = {name: getattr(saved, name).slice(0, 0) for name in names}
-    bare = replace(
-        saved, **empty, detections=saved.detections.slice(0, 0).replace_schema_metadata(None), run={}
-    )
-    page = Page(report_html(bare))
+    names = ("angles", "matches", "ledger", "inputs", "convergence", "detections")
+    empty = {name: getattr(saved, name).slice(0, 0).replace_schema_metadata(None) for name in names}
+    page = Page(report_html(replace(saved, **empty, run={})))
     assert {attributes.get("id") for _, attributes in page.all("section")} == SECTIONS
     assert "No star image was kept" in page.texts[0] and "Nothing was rejected" in page.texts[0]
 

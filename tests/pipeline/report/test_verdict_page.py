@@ -19,38 +19,28 @@ from boresight.pipeline.report.verdict_section import verdict_view
 @pytest.fixture(autouse=True)
 def no_pictures(monkeypatch):
     """Figures further down the page take most of its time; `test_report` looks at them."""
-    monkeypatch.setattr(
-        figures, "drawn", lambda figure, name, caption, words, spots=(): Drawing("", caption, words)
-    )
+    blank = lambda figure, name, caption, words, spots=(): Drawing("", caption, words)  # noqa: E731
+    monkeypatch.setattr(figures, "drawn", blank)
 
 
 def check(kind, p_value, holds, *, look_at=("look here",), names=()):
-    return {
-        "kind": kind,
-        "statistic": 3745.0,
-        "expected": 2130.0,
-        "n": 2130,
+    numbers = {"statistic": 3745.0, "expected": 2130.0, "n": 2130, "limit": 1.25e-5}
+    outcome = {
         "p_value": p_value,
         "p_plain": p_value,
-        "limit": 1.25e-5,
         "holds": holds,
         "fails": not holds,
         "is_caution": False,
-        "look_at": list(look_at),
-        "names": [list(group) for group in names],
     }
+    words = {"kind": kind, "look_at": list(look_at), "names": [list(group) for group in names]}
+    return numbers | outcome | words
 
 
 def verdict(*checks):
     outcome = "consistent" if all(one["holds"] for one in checks) else "refuted"
-    return {
-        "outcome": outcome,
-        "sentence": outcome,
-        "checks": list(checks),
-        "probability_false_alarm": 1e-4,
-        "weakest_axis_c": [0.01, -0.02, 0.99],
-        "weakest_sigma_rad": 10.4 * ARCSEC,
-    }
+    weakest = {"weakest_axis_c": [0.01, -0.02, 0.99], "weakest_sigma_rad": 10.4 * ARCSEC}
+    words = {"outcome": outcome, "sentence": outcome, "checks": list(checks), "probability_false_alarm": 1e-4}
+    return words | weakest
 
 
 def first_screen(finished, **changes):
@@ -65,10 +55,8 @@ def test_consistent_data_are_called_so_with_the_weakest_axis(finished):
     assert "Consistent." in text and "Refuted" not in text and "Converged" not in html
     assert "refuted with probability 0.0001 at most" in text
     sigma = np.sqrt(np.diag(read_saved(finished[1]).installation["covariance_rad2"])) / ARCSEC
-    assert (
-        f"Weakest axis: Z, {sigma[2]:.4f}″. The same number of targets, all near the ends of the swath"
-        in text
-    )
+    helps = "The same number of targets, all near the ends of the swath"
+    assert f"Weakest axis: Z, {sigma[2]:.4f}″. {helps}" in text
     assert 'class="verdict good"' in html and 'class="verdict bad"' not in html
 
 

@@ -27,6 +27,17 @@ def contents(folder: Path) -> dict[str, bytes]:
     }
 
 
+def claim(out: Path, dump: Path, settings: Settings | None = None) -> None:
+    """Take a folder for a result, an earlier one overwritten."""
+    with claimed(out, [dump], settings or Settings(), overwrite=True):
+        pass
+
+
+def assert_refused(out: Path, dump: Path, says: str, settings: Settings | None = None) -> None:
+    with pytest.raises(RawDataError, match=says), claimed(out, [dump], settings or Settings()):
+        pass
+
+
 @pytest.fixture
 def mine(finished: tuple[Path, Path], tmp_path: Path) -> tuple[Path, Path]:
     """A dump and its finished result, to be changed at will."""
@@ -41,14 +52,11 @@ def test_folder_with_files_of_others_is_refused_and_left_as_it_is(tmp_path: Path
     for name in ("installation.json", "draft.tmp", "notes/.letter.txt.tmp", "dumps.json"):
         (out / name).write_text("precious")
     before = everything(out)
-    with pytest.raises(RawDataError, match="a new or empty folder"), claimed(out, [FIXTURE], Settings()):
-        pass
+    assert_refused(out, FIXTURE, "a new or empty folder")
     assert everything(out) == before  # not even a lock
 
 
-def test_result_of_a_version_without_marker_is_refused_with_its_remedy_and_still_read(
-    mine: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_result_of_a_version_without_marker_is_refused_with_its_remedy_and_still_read(mine, capsys):
     dump, out = mine
     (out / MARKER).unlink()
     before = contents(out)
@@ -68,8 +76,7 @@ def test_no_file_of_others_is_removed_from_a_result(mine: tuple[Path, Path]) -> 
         (out / name).write_bytes(content)
     shutil.rmtree(dump)
     strip_of_fixture(dump, 2)
-    with claimed(out, [dump], Settings(), overwrite=True):
-        pass
+    claim(out, dump)
     left = contents(out)
     assert {name: left[name] for name in others} == others
     assert set(left) == {*others, MARKER}
@@ -78,11 +85,7 @@ def test_no_file_of_others_is_removed_from_a_result(mine: tuple[Path, Path]) -> 
 @pytest.mark.parametrize("place", ["", "exposures", "results/first"])
 def test_dump_and_folders_in_it_are_refused(one_strip: Path, place: str) -> None:
     before = contents(one_strip)
-    with (
-        pytest.raises(RawDataError, match="outside of it"),
-        claimed(one_strip / place, [one_strip], Settings()),
-    ):
-        pass
+    assert_refused(one_strip / place, one_strip, "outside of it")
     assert contents(one_strip) == before
 
 
@@ -93,16 +96,11 @@ def test_empty_name_is_wrong_usage() -> None:
 def test_another_dump_or_other_settings_need_overwrite(mine: tuple[Path, Path]) -> None:
     dump, out = mine
     before = contents(out)
-    with pytest.raises(RawDataError, match=r"a result of another dump.*--overwrite"):
-        with claimed(out, [FIXTURE], Settings()):
-            pass
+    assert_refused(out, FIXTURE, r"a result of another dump.*--overwrite")
     other = Settings(run=RunSettings(rounds=3))
-    with pytest.raises(RawDataError, match=r"a result of other settings.*--overwrite"):
-        with claimed(out, [dump], other):
-            pass
+    assert_refused(out, dump, r"a result of other settings.*--overwrite", other)
     assert contents(out) == before
-    with claimed(out, [dump], other, overwrite=True):
-        pass
+    claim(out, dump, other)
     after = contents(out)
     assert "installation.json" not in after and not any(name.startswith("sightings/") for name in after)
     assert any(name.startswith("work/exposures/") for name in after)  # the same dump's: may be used again
@@ -139,26 +137,20 @@ def test_second_run_in_one_folder_is_refused_with_the_owner(tmp_path: Path) -> N
     first = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     try:
         assert first.stdout is not None and first.stdout.readline() == "owned\n"
-        with pytest.raises(RawDataError, match=rf"in use by process {first.pid} on \S+"):
-            with claimed(tmp_path / "out", [FIXTURE], Settings()):
-                pass
+        assert_refused(tmp_path / "out", FIXTURE, rf"in use by process {first.pid} on \S+")
     finally:
         first.kill()
         first.wait()
-    with claimed(tmp_path / "out", [FIXTURE], Settings()):  # the lock of a killed run is released
-        pass
+    claim(tmp_path / "out", FIXTURE)  # the lock of a killed run is released
 
 
 def everything(folder: Path) -> dict[str, bytes | str]:
     """All files and links below a folder, links by their target."""
-    return {
-        path.relative_to(folder).as_posix(): f"-> {path.readlink()}"
-        if path.is_symlink()
-        else path.read_bytes()
-        if path.is_file()
-        else b""
-        for path in folder.rglob("*")
-    }
+
+    def content(path: Path) -> bytes | str:
+        return f"-> {path.readlink()}" if path.is_symlink() else path.read_bytes() if path.is_file() else b""
+
+    return {path.relative_to(folder).as_posix(): content(path) for path in folder.rglob("*")}
 
 
 LINKED = [LOCK, MARKER, "sightings", "evidence", "interior", "work", "work/exposures"]
@@ -203,12 +195,8 @@ def test_link_made_while_a_run_lasts_is_not_written_through(name: str, tmp_path:
 
 @pytest.mark.parametrize("event", ["moved", "deleted", "replaced"])
 def test_result_folder_that_is_moved_or_deleted_during_a_run_fails_it(
-    event: str,
-    one_strip: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture,
-) -> None:
+    event, one_strip, tmp_path, monkeypatch, capsys
+):
     out = tmp_path / "out"
 
     def taken_away(*arguments: object) -> None:
@@ -233,13 +221,11 @@ def test_overwrite_after_an_edited_table_keeps_the_units_that_do_not_depend_on_i
     units = {name for name in contents(out) if name.startswith("work/")}
     with (dump / "targets.csv").open("a") as file:
         file.write("\n")
-    with claimed(out, [dump], Settings(), overwrite=True):
-        pass
+    claim(out, dump)
     assert set(contents(out)) == {MARKER, *units} and len(units) > 10
     moved = shutil.copytree(dump, tmp_path / "another")
     (moved / "targets.csv").write_text((moved / "targets.csv").read_text() + "\n")
-    with claimed(out, [moved], Settings(), overwrite=True):
-        pass
+    claim(out, moved)
     assert set(contents(out)) == {MARKER}
 
 

@@ -1,4 +1,4 @@
-"""What the terminal shows of a calibration, to the last printed digit."""
+"""What the terminal shows of a calibration and of its validation, to the last printed digit."""
 
 from itertools import pairwise
 from types import SimpleNamespace
@@ -9,16 +9,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC
-from boresight.pipeline.results.summary import (
-    _seen,
-    blind_lines,
-    calibration_summary,
-    unit_effect,
-    verdict_lines,
-)
+from boresight.pipeline.results import summary
+from boresight.pipeline.results.summary import blind_lines, calibration_summary, unit_effect, verdict_lines
+from boresight.pipeline.results.validate import CheckPoints, TruthErrors
 from boresight.records.ledger import Entry, Kind, Reason, Subject
-
-EQUAL = (("t1", "t2"), ("t5", "t6", "t7"))
 
 # A remote-sensing camera whose ends look 3 % and 4 % of the range, 0.05 in all, from its axis.
 CAMERA = SimpleNamespace(
@@ -30,44 +24,36 @@ CAMERA = SimpleNamespace(
 
 def calibration(**changed: Any) -> Any:
     """A calibration with numbers that no two rows have in common."""
-    estimate = {
-        "R_cs": Rotation.from_euler("xyz", [40, -65, 110], degrees=True),
-        "theta": np.array([1e-3, -2e-3, 3.5e-3]),
-        "sigma_theta": np.array([0.4541, 0.5153, 8.2676]) * ARCSEC,
+    R_cs = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
+    theta = {"R_cs": R_cs, "theta": np.array([1e-3, -2e-3, 3.5e-3]), "of_camera": lambda name: (R_cs, None)}
+    sigma = {"sigma_theta": np.array([0.4541, 0.5153, 8.2676]) * ARCSEC, "chi2": 57.64, "dof": 69}
+    counts = {
         "n_exposures": 42,
         "n_stars": 3719,
         "n_strips": 3,
         "n_targets": 36,
-        "chi2": 57.64,
-        "dof": 69,
         "converged_covariance": True,
-        "heads": (),
+    }
+    none = {
         "bias": None,
         "cameras": ("",),
         "between": lambda sigma_rad: (),
-        "references": (),
-        "periodic": (),
         "targets": SimpleNamespace(doubtful=()),
-    } | changed
+    }
+    none |= dict.fromkeys(("heads", "references", "periodic"), ())
+    estimate = SimpleNamespace(**theta | sigma | counts | none | changed)
     ranges_m = [np.array([510e3, np.nan, 560e3]), np.array([640e3])]  # one look sees none; mean 570 km
-    estimate["of_camera"] = lambda name: (estimate["R_cs"], None)
+    strips = [SimpleNamespace(ground=SimpleNamespace(range_m=one)) for one in ranges_m]
+    verdict = SimpleNamespace(checks=())
     return SimpleNamespace(
-        estimate=SimpleNamespace(**estimate),
-        verdict=SimpleNamespace(checks=()),
-        omissions=(),
-        rows=(),
-        strips=[SimpleNamespace(ground=SimpleNamespace(range_m=one)) for one in ranges_m],
-        camera=CAMERA,
+        estimate=estimate, verdict=verdict, omissions=(), rows=(), strips=strips, camera=CAMERA
     )
 
 
 @pytest.fixture(autouse=True)
 def plain_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "boresight.pipeline.results.summary.verdict_json",
-        lambda verdict, rows=(): {"checks": [], "sentence": ""},
-    )
-    monkeypatch.setattr("boresight.pipeline.results.summary.blind_spots_json", lambda _: [])
+    monkeypatch.setattr(summary, "verdict_json", lambda verdict, rows=(): {"checks": [], "sentence": ""})
+    monkeypatch.setattr(summary, "blind_spots_json", lambda _: [])
 
 
 def test_numbers_of_the_summary_are_those_of_the_estimate() -> None:
@@ -99,11 +85,8 @@ def test_each_head_has_the_sigma_of_its_own_axes() -> None:
     told = {line.split()[1]: (line, below) for line, below in pairwise(lines) if line[:5] == "head "}
     for name, R, expected in zip(told, turned * 2, ("0.5 1.25 9", "2.5 0.75 11", "3.125 6.5 0.25")):
         quaternion, below = told[name]
-        np.testing.assert_allclose(
-            Rotation.from_quat([float(x) for x in quaternion.split()[2:]]).as_matrix(),
-            R.as_matrix(),
-            atol=1e-8,
-        )
+        shown = Rotation.from_quat([float(x) for x in quaternion.split()[2:]])
+        np.testing.assert_allclose(shown.as_matrix(), R.as_matrix(), atol=1e-8)
         assert below.startswith("  1 sigma, arcsec")
         assert [float(x) for x in below[26:].split()] == [float(x) for x in expected.split()]
     assert list(told) == ["port", "zenith", "star"]
@@ -119,9 +102,9 @@ def test_each_head_has_the_sigma_of_its_own_axes() -> None:
         ((5.5, -2.75, 9.0), "ms", "1 ms: 5.5″ X, 9″ Z"),
     ],
 )
-def test_a_blind_spot_is_told_by_the_axis_that_it_moves_most_and_all_that_it_moves_by_more_than_1_sigma(
-    effect_arcsec: Any, unit: str, words: str
-) -> None:
+def test_a_blind_spot_is_told_by_the_axis_that_it_moves_most_and_by_all_above_1_sigma(
+    effect_arcsec, unit, words
+):
     spot = {"effect_rad": [one * ARCSEC for one in effect_arcsec], "unit": unit}
     assert unit_effect(spot, np.array([4.5, 3.5, 8.0]) * ARCSEC) == words
 
@@ -135,17 +118,12 @@ def test_a_blind_spot_without_effect_is_not_printed() -> None:
     assert line.split() == ["cannot", "show", "place", "of", "the", "CCDs", "(1", "px:", "2.5″", "Y)"]
 
 
-@pytest.mark.parametrize(
-    ("ranges_m", "words"),
-    [
-        ([[6e5, np.nan]], "7 targets"),
-        ([[np.nan, np.nan], []], "7 stars"),
-        ([[np.nan], [5e5]], "7 targets and stars"),
-    ],
-)
-def test_stars_of_scans_are_not_called_targets(ranges_m: Any, words: str) -> None:
-    strips = [SimpleNamespace(ground=SimpleNamespace(range_m=np.array(one))) for one in ranges_m]
-    assert _seen(SimpleNamespace(n_targets=7), strips) == words
+def test_stars_of_scans_are_not_called_targets() -> None:
+    nan = np.nan
+    seen = {"targets": [[6e5, nan]], "stars": [[nan, nan], []], "targets and stars": [[nan], [5e5]]}
+    for words, ranges_m in seen.items():
+        strips = [SimpleNamespace(ground=SimpleNamespace(range_m=np.array(one))) for one in ranges_m]
+        assert summary._seen(SimpleNamespace(n_targets=7), strips) == f"7 {words}"
 
 
 def test_error_that_comes_back_is_told_harmonic_by_harmonic_in_seconds_of_arc_each_beside_its_sigma() -> None:
@@ -192,29 +170,44 @@ def test_what_is_not_used_is_counted_by_cause_and_named() -> None:
 
 
 def test_refuting_checks_are_named_the_least_likely_first_with_what_to_look_at() -> None:
-    def check(kind: str, p_value: float, *, holds: bool, names: tuple = ()) -> dict[str, Any]:
-        given = {"kind": kind, "p_value": p_value, "holds": holds, "fails": not holds, "names": names}
-        return given | {
-            "is_caution": False,
-            "statistic": 3745.25,
-            "expected": 2130,
-            "look_at": ["the orbit", "the clocks"],
-        }
+    alike = {"statistic": 3745.25, "expected": 2130, "look_at": ["the orbit", "the clocks"]}
 
-    lines = verdict_lines(
-        {
-            "sentence": "refuted by two checks",
-            "checks": [
-                check("residuals of targets", 1e-9, holds=False),
-                check("residuals of stars", 0.5, holds=True),
-                check(
-                    "equal coordinates of targets", 0.0, holds=False, names=(("t1", "t2"), ("t5", "t6", "t7"))
-                ),
-            ],
-        }
-    )
+    def check(kind: str, p_value: float, holds: bool, names: tuple = ()) -> dict[str, Any]:
+        given = {"kind": kind, "p_value": p_value, "holds": holds, "fails": not holds, "names": names}
+        return given | alike | {"is_caution": False}
+
+    targets, stars = check("residuals of targets", 1e-9, False), check("residuals of stars", 0.5, True)
+    equal = check("equal coordinates of targets", 0.0, False, (("t1", "t2"), ("t5", "t6", "t7")))
+    lines = verdict_lines({"sentence": "refuted by two checks", "checks": [targets, stars, equal]})
     assert lines[0].split() == "verdict refuted by two checks".split()
     assert lines[1].startswith("  equal coordinates of targets: 3745.25, expected 2130")
     assert lines[2].strip() == "t1 = t2, t5 = t6 = t7"
     assert lines[3].strip() == "look at: the orbit; the clocks"
     assert lines[4] == "  residuals of targets: 3745.25, expected 2130 (p 1.0e-09)"
+
+
+def points(along_m: list[float], across_m: list[float]) -> CheckPoints:
+    ids = np.array([f"p{k}" for k in range(len(along_m))])
+    other = dict.fromkeys(("lat_deg", "lon_deg", "up_m", "east_m", "north_m"), np.full(len(ids), 99.0))
+    track = {"along_m": np.array(along_m), "across_m": np.array(across_m)}
+    return CheckPoints(strip_id=ids, point_id=ids, **track, **other)
+
+
+def test_errors_before_and_after_are_told_with_their_units_in_their_places() -> None:
+    arcsec = {"error_rad": [0.5, -1.5, 6.0], "sigma_rad": [0.25, 1.0, 4.0]}
+    arcsec |= {"before_rad": [-600.0, 1200.0, 3000.0]}
+    ground = {"after": points([3.0, -4.0], [1.0, 7.0]), "before": points([300.0, -400.0], [100.0, 700.0])}
+    angles = {name: np.array(values) * ARCSEC for name, values in arcsec.items()}
+    errors = TruthErrors(nees=4.25, predicted=(), without=3, **angles, **ground)
+    lines = summary.validation_summary(errors).splitlines()
+    rows = {line[:26].strip(): [float(cell) for cell in line[26:].split()] for line in lines[1:6]}
+    assert rows["before, arcsec"] == [-600.0, 1200.0, 3000.0]
+    assert rows["after, arcsec"] == [0.5, -1.5, 6.0]
+    assert rows["stated 1 sigma, arcsec"] == [0.25, 1.0, 4.0]
+    assert rows["after, in sigmas"] == [2.0, -1.5, 1.5]
+    assert rows["NEES (3 is expected)"] == [4.25]
+    assert "2 check points" in lines[6] and lines[6].split()[-2:] == ["along", "across"]
+    ground = {line.split()[0]: [float(cell) for cell in line.split()[1:]] for line in lines[7:9]}
+    assert ground["after"] == pytest.approx([12.5**0.5, 5.0], abs=0.005)  # rms, two decimals
+    assert ground["before"] == pytest.approx([125_000.0**0.5, 500.0], abs=0.005)
+    assert lines[9].startswith("no position for 3 check points")

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from fixture_strips import begun
 
 from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.run import cluster
@@ -278,41 +279,34 @@ def test_adaptive_cluster_starts_workers_for_a_run_and_more_while_it_lasts(tmp_p
 
 
 def test_the_page_followed_by_the_letter_gives_the_result_of_one_machine(finished, tmp_path):
-    dump, alone = finished
+    """Of 14 exposures 13 are finished: the workers make an exposure and match the strip."""
     commands = (ROOT / "docs" / "cluster.md").read_text().split("```bash\n")[1].split("```")[0]
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
-    here = {"10.0.0.1": "127.0.0.1", "8786": port, "/shared/dump": str(dump), "/shared/result": "result"}
-    for of_page, of_machine in (*here.items(), ("--nworkers 8", "--nworkers 2")):
+    here = {"10.0.0.1": "127.0.0.1", "8786": port, "--nworkers 8": "--nworkers 2"}
+    here |= {"/shared/dump": str(finished[0]), "/shared/result": "result"}
+    for of_page, of_machine in here.items():
         commands = commands.replace(of_page, of_machine)
-    lines = [line.partition("#")[0].split() for line in commands.splitlines()]
-    assert [line[:2] for line in lines] == [
-        ["dask", "scheduler"],
-        ["dask", "worker"],
-        ["boresight", "calibrate"],
-    ]
-    programs = Path(sys.executable).parent
-    started = []
+    scheduler, workers, command = (line.partition("#")[0].split() for line in commands.splitlines())
+    assert (scheduler[:2], workers[:2]) == (["dask", "scheduler"], ["dask", "worker"])
+    assert command[:2] == ["boresight", "calibrate"]
+    begun(tmp_path / "result", finished, exposures=13)
+    programs, started = Path(sys.executable).parent, []
     try:
-        for first, *rest in lines[:2]:
-            log = (tmp_path / f"{rest[0]}.log").open("w")
-            streams = {"stdout": log, "stderr": subprocess.STDOUT}
-            started.append(
-                subprocess.Popen(
-                    [programs / first, *rest], cwd=tmp_path, **streams, preexec_fn=end_with_parent
-                )
-            )
-        ran = subprocess.run(
-            [programs / lines[2][0], *lines[2][1:], "--no-report"], cwd=tmp_path, timeout=READY_S
-        )
+        for first, *rest in (scheduler, workers):
+            streams = {"stdout": (tmp_path / f"{rest[0]}.log").open("w"), "stderr": subprocess.STDOUT}
+            of_dask = [programs / first, *rest]
+            started.append(subprocess.Popen(of_dask, cwd=tmp_path, **streams, preexec_fn=end_with_parent))
+        boresight = [programs / command[0], *command[1:], "--no-report"]
+        ran = subprocess.run(boresight, cwd=tmp_path, timeout=READY_S)
     finally:
         for process in started:
             process.terminate()
             process.wait()
     assert ran.returncode == 0
     for name in ("installation.json", "sightings/targets.parquet", "sightings/stars.parquet"):
-        assert (tmp_path / "result" / name).read_bytes() == (alone / name).read_bytes(), name
+        assert (tmp_path / "result" / name).read_bytes() == (finished[1] / name).read_bytes(), name
 
 
 def test_scheduler_with_certificates_deadly_units_and_lost_schedulers(tmp_path, monkeypatch):

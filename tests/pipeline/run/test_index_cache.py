@@ -70,16 +70,11 @@ def test_another_catalogue_epoch_field_or_program_makes_another_index(places, bu
 def test_a_damaged_file_is_made_anew_with_a_warning(places, builds, cache, damage):
     built = cached_index(places, 2020.0, FOV)
     (file,) = cache.iterdir()
-    content = bytearray(file.read_bytes())
-    if damage == "cut":
-        file.write_bytes(content[: len(content) // 2])
-    elif damage == "flipped":
-        content[len(content) // 2] ^= 0xFF
-        file.write_bytes(content)
-    elif damage == "emptied":
-        file.write_bytes(b"")
-    elif damage == "not an archive":
-        file.write_bytes(b"triangles")
+    content, half = file.read_bytes(), file.stat().st_size // 2
+    flipped = content[:half] + bytes([content[half] ^ 0xFF]) + content[half + 1 :]
+    others = {"cut": content[:half], "flipped": flipped, "emptied": b"", "not an archive": b"triangles"}
+    if damage in others:
+        file.write_bytes(others[damage])
     elif damage == "pickled":
         with file.open("wb") as stream:
             np.savez(stream, **{"0.vertices": np.array([{}], dtype=object)})

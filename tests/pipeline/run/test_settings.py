@@ -13,16 +13,10 @@ from boresight.pipeline.run.settings import Settings, calibration_settings, sett
 from boresight.star_id.finding.star_list import list_stars
 from boresight.star_id.settings import StarSettings
 
-STATED = Errors(
-    position_m=3.0,
-    clock_s=2e-4,
-    vibration_arcsec=0.25,
-    look_distortion_px=0.4,
-    look_distortion_length_px=1500.0,
-)
-DETECTOR = Ccd(
-    n_px=512, y_first_m=0.0, x_offset_m=0.0, rotation_rad=0.0, pixel_m=1e-5, principal_sample=255.0
-)
+OF_LOOKS = {"look_distortion_px": 0.4, "look_distortion_length_px": 1500.0}
+STATED = Errors(position_m=3.0, clock_s=2e-4, vibration_arcsec=0.25, **OF_LOOKS)
+PLACE = dict.fromkeys(("y_first_m", "x_offset_m", "rotation_rad"), 0.0)
+DETECTOR = Ccd(n_px=512, pixel_m=1e-5, principal_sample=255.0, **PLACE)
 CAMERA = LineCamera(8.0, (DETECTOR,), tdi_stages=1, time_of_row="middle")
 
 
@@ -56,12 +50,9 @@ GREY_VALUES = {("match", "no_data"), ("match", "saturation_dn")}  # of strips, w
 
 
 def test_no_setting_is_negative_and_no_probability_or_share_above_one() -> None:
-    sections = {
-        name: getattr(Settings(), name) for name in ("stars", "match", "run", "verdict", "sky_strips")
-    }
     tried = 0
-    for section, record in sections.items():
-        for one in fields(record):
+    for section in ("stars", "match", "run", "verdict", "sky_strips"):
+        for one in fields(getattr(Settings(), section)):
             kind = str(one.type)
             if not kind.startswith(("float", "int")) or (section, one.name) in GREY_VALUES:
                 continue
@@ -83,15 +74,10 @@ def test_a_stated_psf_lists_stars_or_is_refused_by_name(shape: tuple[int, int]) 
     for sigma, smear in ((quarter / 3.0, None), (None, (1.4 * quarter, -1.4 * quarter)), (1.0, (0.0, 0.5))):
         found = list_stars(image, StarSettings(psf_sigma_px=sigma, smear_px=smear))
         assert len(found.xy_px) == 1 or sigma != 1.0
-    for sigma, smear in (
-        (1.01 * quarter / 3.0, None),
-        (1e9, None),
-        (None, (0.0, 2.1 * quarter)),
-        (1.0, (1e9, 0)),
-    ):
-        with pytest.raises(
-            ValueError, match=r"^settings: found .*, expected psf_sigma_px times 6 and smear_px"
-        ):
+    says = r"^settings: found .*, expected psf_sigma_px times 6 and smear_px"
+    too_wide = ((1.01 * quarter / 3.0, None), (1e9, None), (None, (0.0, 2.1 * quarter)), (1.0, (1e9, 0)))
+    for sigma, smear in too_wide:
+        with pytest.raises(ValueError, match=says):
             list_stars(image, StarSettings(psf_sigma_px=sigma, smear_px=smear))
 
 

@@ -41,37 +41,25 @@ class Task:
 
 def task(tmp_path: Path, **changes: object) -> Task:
     (tmp_path / "image").write_bytes(b"pixels")
-    parts = {
-        "name": "e1",
-        "values": np.arange(3.0),
-        "turn": Rotation.from_rotvec([0.1, 0.2, 0.3]),
-        "file": tmp_path / "image",
-        "settings": {"a": 1, "b": 2.5},
-    }
-    return Task(**(parts | changes))
+    parts = {"name": "e1", "values": np.arange(3.0), "turn": Rotation.from_rotvec([0.1, 0.2, 0.3])}
+    return Task(**parts | {"file": tmp_path / "image", "settings": {"a": 1, "b": 2.5}} | changes)
 
 
 def test_digest_changes_with_every_part_and_only_then(tmp_path: Path) -> None:
     (tmp_path / "copy").write_bytes(b"pixels")
     (tmp_path / "other").write_bytes(b"pixelz")
-    same = [
-        task(tmp_path),
-        task(tmp_path),
-        task(tmp_path, file=tmp_path / "copy"),
-        task(tmp_path, settings={"b": 2.5, "a": 1}),
-    ]
-    assert len({digest(t) for t in same}) == 1
+    same = [{}, {}, {"file": tmp_path / "copy"}, {"settings": {"b": 2.5, "a": 1}}]
     others = [
-        task(tmp_path, name="e2"),
-        task(tmp_path, values=np.nextafter(np.arange(3.0), 9.0)),
-        task(tmp_path, values=np.arange(3.0).reshape(3, 1)),
-        task(tmp_path, values=np.arange(3.0, dtype=np.float32)),
-        task(tmp_path, turn=Rotation.from_rotvec([0.1, 0.2, 0.3 + 1e-15])),
-        task(tmp_path, file=tmp_path / "other"),
-        task(tmp_path, file=tmp_path / "missing"),
-        task(tmp_path, settings={"a": 1, "b": 2.5000000000000004}),
+        {"name": "e2"},
+        {"values": np.nextafter(np.arange(3.0), 9.0)},
+        {"values": np.arange(3.0).reshape(3, 1)},
+        {"values": np.arange(3.0, dtype=np.float32)},
+        {"turn": Rotation.from_rotvec([0.1, 0.2, 0.3 + 1e-15])},
+        *({"file": tmp_path / name} for name in ("other", "missing")),
+        {"settings": {"a": 1, "b": 2.5000000000000004}},
     ]
-    assert len({digest(t) for t in [*same, *others]}) == 1 + len(others)
+    assert len({digest(task(tmp_path, **one)) for one in same}) == 1
+    assert len({digest(task(tmp_path, **one)) for one in [*same, *others]}) == 1 + len(others)
 
 
 def test_what_has_no_digest_is_refused() -> None:
@@ -84,23 +72,12 @@ def test_program_is_its_version_and_the_source_that_a_stage_rests_on() -> None:
     assert program_digest(GEOMETRY, STARS) == program_digest(GEOMETRY, STARS)
 
 
-def test_program_knows_the_folders_within_a_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    inner = tmp_path / "outer_package" / "inner"
-    inner.mkdir(parents=True)
-    for folder in (inner, inner.parent):
-        (folder / "__init__.py").touch()
-    monkeypatch.syspath_prepend(tmp_path)
-    (inner / "module.py").write_text("A = 1\n")
-    before = program_digest("outer_package")
-    (inner / "module.py").write_text("A = 2\n")
-    program_digest.cache_clear()
-    digests._module.cache_clear()
-    assert program_digest("outer_package") != before
-
-
-def test_program_follows_imports_and_knows_data_and_libraries(tmp_path, monkeypatch):
+def test_program_follows_imports_and_knows_data_folders_and_libraries(tmp_path, monkeypatch):
     root = tmp_path / "made_package"
-    (root / "data").mkdir(parents=True)
+    for folder in ("data", "inner"):
+        (root / folder).mkdir(parents=True)
+    (root / "inner" / "__init__.py").touch()
+    (root / "inner" / "module.py").touch()
     for name, text in {
         "__init__": "",
         "stage": "from made_package import reader\ndef f():\n    from made_package.late import g",
@@ -113,10 +90,10 @@ def test_program_follows_imports_and_knows_data_and_libraries(tmp_path, monkeypa
     (root / "data" / "table.bin").write_bytes(b"1")
     monkeypatch.syspath_prepend(tmp_path)
 
-    def key() -> str:
+    def key(of: str = "made_package.stage") -> str:
         program_digest.cache_clear()
         digests._module.cache_clear()
-        return program_digest("made_package.stage")
+        return program_digest(of)
 
     keys = [key()]
     for file in ("stage.py", "reader.py", "late.py", "deeper.py", "data/table.bin"):
@@ -125,6 +102,9 @@ def test_program_follows_imports_and_knows_data_and_libraries(tmp_path, monkeypa
     assert len(set(keys)) == 6
     (root / "other.py").write_text("B = 2\n")
     assert key() == keys[-1]
+    whole = key("made_package")
+    (root / "inner" / "module.py").write_text("A = 2\n")
+    assert key("made_package") != whole
     versions = program_key.library_versions()
     assert {"python", "numpy", "scipy", "opencv", "rasterio", "gdal", "astropy", "pyerfa"} <= set(versions)
     for name in versions:

@@ -1,4 +1,6 @@
-"""Other processes, killed processes, full disks: the same result, and nothing finished is lost."""
+"""Units done by other processes: some die, some raise errors, none outlives the run. What a killed run leaves
+on the disk: `faults/test_interrupted.py`.
+"""
 
 import errno
 import mmap
@@ -11,60 +13,9 @@ import time
 from pathlib import Path
 
 import pytest
-from command_line import ran
-from fixture_strips import begun
 
 from boresight.pipeline.errors import WorkerError
 from boresight.pipeline.run.executor import InOrder, executor_for
-
-forked = pytest.mark.skipif(sys.platform != "linux", reason="processes are forked on Linux alone")
-BORESIGHT = (sys.executable, "-m", "boresight")
-
-
-def of_run(dump: Path, out: Path, *how: str) -> list[str]:
-    """Arguments of `boresight`."""
-    return ["calibrate", str(dump), "--out", str(out), *how, "--no-report"]
-
-
-@pytest.fixture
-def undisturbed(finished: tuple[Path, Path]) -> tuple[Path, bytes]:
-    """One strip of the fixture and the installation.json that one process makes of it."""
-    dump, result = finished
-    return dump, (result / "installation.json").read_bytes()
-
-
-def test_run_killed_at_any_moment_goes_on_to_the_same_bytes(undisturbed, finished, tmp_path):
-    dump, expected = undisturbed
-    begun(tmp_path, finished, exposures=11)
-    command = of_run(dump, tmp_path, "--workers", "1")
-    process = subprocess.Popen([*BORESIGHT, *command], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    while process.poll() is None and len(list(tmp_path.glob("work/*/*.parquet"))) < 12:
-        time.sleep(0.005)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    kept = {path: path.stat().st_mtime_ns for path in tmp_path.glob("work/*/*.parquet")}
-    assert 12 <= len(kept) < 16
-    ran(*command)
-    assert (tmp_path / "installation.json").read_bytes() == expected
-    assert all(path.stat().st_mtime_ns == made for path, made in kept.items())  # nothing was made twice
-    status = ran("status", tmp_path).stdout
-    assert "star exposures            14 done" in status and "\nfinished" in status
-
-
-def test_full_disk_stops_with_a_message_and_the_next_run_goes_on(undisturbed, finished, tmp_path):
-    # A limit of 8 KiB a file stands for a full disk: the first unit that is larger cannot be written.
-    dump, expected = undisturbed
-    begun(tmp_path, finished, exposures=13)
-    command = of_run(dump, tmp_path, "--workers", "1")
-    limited = ["bash", "-c", 'ulimit -f 8; exec "$@"', "bash", *BORESIGHT, *command]
-    outcome = subprocess.run(limited, capture_output=True, text=True, timeout=300, check=False)
-    assert outcome.returncode == 1
-    assert "error:" in outcome.stderr and "too large" in outcome.stderr, outcome.stderr
-    assert "Traceback" not in outcome.stderr
-    assert not (tmp_path / "installation.json").exists()
-    assert not list(tmp_path.rglob("*.tmp"))
-    ran(*command)
-    assert (tmp_path / "installation.json").read_bytes() == expected
 
 
 def test_unit_whose_process_dies_is_done_by_another(tmp_path: Path) -> None:

@@ -55,17 +55,9 @@ def with_table(task: StripTask, table: EarthOrientationTable, frame: str = "GCRF
     position_m, velocity_m_s = (
         orbit.states_i(t_s) if frame == "GCRF" else (orbit.positions_e(t_s), orbit.velocities_e(t_s))
     )
-    stated = Orbit(
-        epoch=orbit.epoch,
-        t_s=t_s,
-        positions_m=position_m,
-        velocities_m_s=velocity_m_s,
-        frame=frame,  # type: ignore[arg-type]
-        earth=EarthRotation.over(orbit.epoch, orbit.earth.t_start_s, orbit.earth.t_stop_s, table),
-        method=orbit.method,
-        degree=orbit.degree,
-    )
-    return replace(task, orbit=stated)
+    earth = EarthRotation.over(orbit.epoch, orbit.earth.t_start_s, orbit.earth.t_stop_s, table)
+    states = {"positions_m": position_m, "velocities_m_s": velocity_m_s, "frame": frame}
+    return replace(task, orbit=replace(orbit, earth=earth, **states))  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize("frame", ["GCRF", "ITRF"])
@@ -104,26 +96,18 @@ def test_predictions_of_far_dates_average_and_those_of_one_date_do_not(calibrati
     task, strip = calibration.tasks[0], calibration.strips[0]
     ground = with_ground(strip, of_ut1(with_table(task, bundled_table()), 1e-6), calibration).ground
     names = ("59000/59010", "81000/81010")
+    grounds = [
+        replace(ground, target_id=np.char.add(ground.target_id, "ab"[n]), t_s=ground.t_s + 1e5 * n)
+        for n in (0, 1)
+    ]
+    pair = [replace(later(strip, 1e5 * n), strip_id=f"S{n}", ground=one) for n, one in enumerate(grounds)]
     twice = [
-        [
-            replace(
-                later(strip, 1e5 * n),
-                strip_id=f"S{n}",
-                earth=name,
-                ground=replace(ground, target_id=ids, t_s=ground.t_s + 1e5 * n),
-            )
-            for n, (name, ids) in enumerate(
-                zip(which, (ground.target_id, np.char.add(ground.target_id, "b")))
-            )
-        ]
+        [replace(one, earth=name) for one, name in zip(pair, which)]
         for which in ((names[0], names[0]), names)
     ]
     settings = replace(calibration.settings, robust=False, sigma_distortion_rad=0.0)
-    free = replace(ground, earth_i=np.zeros_like(ground.earth_i))
-    without = [
-        replace(one, ground=replace(free, target_id=one.ground.target_id, t_s=one.ground.t_s))
-        for one in twice[0]
-    ]
+    free = np.zeros_like(ground.earth_i)
+    without = [replace(one, ground=replace(one.ground, earth_i=free)) for one in twice[0]]
     of_all = [calibrate_strips(these, calibration.estimate.R_cs0, settings) for these in (without, *twice)]
     none, same, apart = (np.trace(one.cov_theta) for one in of_all if isinstance(one, InstallationEstimate))
     # 3 %: correlation of 1e-2 is left, and the estimate weighs the targets anew
@@ -138,10 +122,8 @@ def later(strip: StripSightings, seconds: float) -> StripSightings:
 
 def of_ut1(task: StripTask, sigma_rad: float) -> StripTask:
     """The task with an error of UT1 alone."""
-    day = float(task.orbit.epoch.mjd_tai(0.0))
-    earth = replace(
-        task.orbit.earth, sigma_e_rad=np.array([0.0, 0.0, sigma_rad]), mjd_last_measured=round(day) - 30.0
-    )
+    last = round(float(task.orbit.epoch.mjd_tai(0.0))) - 30.0
+    earth = replace(task.orbit.earth, sigma_e_rad=np.array([0.0, 0.0, sigma_rad]), mjd_last_measured=last)
     return replace(task, orbit=replace(task.orbit, earth=earth))
 
 
@@ -286,9 +268,8 @@ def test_predictions_grow_apart_as_the_iers_states() -> None:
     for a, b in ((0, 1), (0, 2), (1, 2)):
         off = np.diag(R[a, :, b])
         found = sigma[a] ** 2 + sigma[b] ** 2 - 2.0 * off * sigma[a] * sigma[b]
-        assert found == pytest.approx(
-            expected_rotation_error_rad(float(days[b] - days[a]), 0.0) ** 2, rel=1e-9
-        )
+        between = expected_rotation_error_rad(float(days[b] - days[a]), 0.0)
+        assert found == pytest.approx(between**2, rel=1e-9)
     three = [*names[1:], f"{last + 40}/{last + 90}"]
     R = correlation_of_predictions(three, three).reshape(3, 3, 3, 3)
     s = np.array([sigma[1], sigma[2], expected_rotation_error_rad(50.0, 0.0)])
@@ -303,9 +284,7 @@ def test_a_located_date_that_was_not_calibrated_shares_what_is_correlated(calibr
     here, there = "60000/60020", "60000/60035"
     R = correlation_of_predictions((here, there), (here, there))
     a = np.random.default_rng(5).multivariate_normal(np.zeros(6), R, 200_000)
-    by_a = np.array(
-        [[3.0, -1.0, 0.5], [0.2, 2.0, -4.0], [1.0, 0.0, 0.3]]
-    )  # theta by the errors when calibrated
+    by_a = np.array([[3.0, -1.0, 0.5], [0.2, 2.0, -4.0], [1.0, 0.0, 0.3]])  # theta by the errors
     theta = a[:, :3] @ by_a.T
     earth = SavedEarth(predictions=(here,), covariance=np.eye(3), with_theta_rad=by_a)
     result = SimpleNamespace(cov_theta=by_a @ by_a.T, earth=earth)

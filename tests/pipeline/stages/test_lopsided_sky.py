@@ -68,84 +68,45 @@ def task() -> SkyTask:
     plane = Rotation.from_euler("zx", [75.0, 97.5], degrees=True)
     circle = np.column_stack([np.cos(angle), np.sin(angle), 0.0 * t])
     forward = np.column_stack([-np.sin(angle), np.cos(angle), 0.0 * t])
-    orbit = Orbit(
-        epoch=EPOCH,
-        t_s=t,
-        positions_m=plane.apply(radius * circle),
-        velocities_m_s=plane.apply(1.1e-3 * radius * forward),
-        frame="GCRF",
-        degree=7,
-        earth=earth,
-        method="hermite",
-    )
-    ccds = tuple(
-        Ccd(
-            n_px=N_PX,
-            y_first_m=first,
-            x_offset_m=offset,
-            rotation_rad=TURN_RAD,
-            pixel_m=PITCH_M,
-            principal_sample=1000.0,
-        )
-        for first, offset in CCDS
-    )
+    states = {
+        "positions_m": plane.apply(radius * circle),
+        "velocities_m_s": plane.apply(1.1e-3 * radius * forward),
+    }
+    orbit = Orbit(epoch=EPOCH, t_s=t, **states, frame="GCRF", degree=7, earth=earth, method="hermite")
+    of_all = {"n_px": N_PX, "rotation_rad": TURN_RAD, "pixel_m": PITCH_M, "principal_sample": 1000.0}
+    ccds = tuple(Ccd(y_first_m=first, x_offset_m=offset, **of_all) for first, offset in CCDS)
     times = FIRST_S + np.linspace(-0.5, 2.6, 9)
     R_ci = Rotation.from_matrix(np.array([camera_from_gcrs(t) for t in times]))
-    return SkyTask(
-        strip=Strip(
-            strip_id="sky",
-            images=StripFiles({}, {}, {}),
-            t_first_row_s=FIRST_S,
-            row_period_s=PERIOD,
-            lines=LINES,
-            first_row={0: 0.0, 1: 0.0},
-            ccd_lines={0: LINES, 1: LINES},
-            kind="sky",
-        ),
-        camera=LineCamera(FOCAL_M, ccds, STAGES, "start"),
-        stages=STAGES,
-        bit_depth=12,
-        orbit=orbit,
-        t_attitude_s=times,
-        R_si=MOUNTING.inv() * R_ci,
-        covariance_c=np.zeros((9, 3, 9, 3)),
-        R_cs0=MOUNTING,
-        settings=StripStarSettings(),
-        carrier="",
-    )
+    rows = {
+        "t_first_row_s": FIRST_S,
+        "row_period_s": PERIOD,
+        "lines": LINES,
+        "ccd_lines": {0: LINES, 1: LINES},
+    }
+    images = {"images": StripFiles({}, {}, {}), "first_row": {0: 0.0, 1: 0.0}}
+    attitude = {"t_attitude_s": times, "R_si": MOUNTING.inv() * R_ci, "covariance_c": np.zeros((9, 3, 9, 3))}
+    camera = {"camera": LineCamera(FOCAL_M, ccds, STAGES, "start"), "stages": STAGES, "bit_depth": 12}
+    mounting = {"R_cs0": MOUNTING, "settings": StripStarSettings(), "carrier": ""}
+    strip = Strip(strip_id="sky", kind="sky", **rows, **images)
+    return SkyTask(strip=strip, orbit=orbit, **camera, **attitude, **mounting)
 
 
 @pytest.fixture(scope="module")
 def named() -> NamedStars:
     n = len(CCD)
-    zero = np.zeros(n)
-    found = StripStars(
-        ccd=CCD,
-        xy_px=XY,
-        cov_px=COV_PX,
-        flux_dn=100.0 + zero,
-        snr=20.0 + zero,
-        saturated=zero.astype(bool),
-        blended=zero.astype(bool),
-        psf_sigma_px=0.5,
-        gain_e_per_dn=10.0,
-        misshapen=0,
-    )
-    places = StarPlaces(
-        hip=np.arange(n) + 7,
-        ra_rad=np.array([0.4, 2.1, 5.5]),
-        dec_rad=np.array([-0.6, 0.9, -1.2]),
-        pm_ra_rad_yr=zero,
-        pm_dec_rad_yr=zero,
-        parallax_arcsec=zero,
-        radial_velocity_km_s=zero,
-        v_mag=6.0 + zero,
-        b_v=zero,
-        epoch_jyear=1991.25,
-    )
-    survey = SurveyedStars(
-        name="HIP", places=places, sigma_rad=SIGMA, sigma_pm_rad_yr=SIGMA_PM, single=zero == 0.0
-    )
+    zero, good = np.zeros(n), np.zeros(n, dtype=bool)
+    light = {"flux_dn": 100.0 + zero, "snr": 20.0 + zero, "saturated": good, "blended": good}
+    image = {"psf_sigma_px": 0.5, "gain_e_per_dn": 10.0, "misshapen": 0}
+    found = StripStars(ccd=CCD, xy_px=XY, cov_px=COV_PX, **light, **image)
+    radec = {
+        "ra_rad": np.array([0.4, 2.1, 5.5]),
+        "dec_rad": np.array([-0.6, 0.9, -1.2]),
+        "epoch_jyear": 1991.25,
+    }
+    still = "pm_ra_rad_yr pm_dec_rad_yr parallax_arcsec radial_velocity_km_s b_v".split()
+    places = StarPlaces(hip=np.arange(n) + 7, v_mag=6.0 + zero, **radec, **dict.fromkeys(still, zero))
+    sigma = {"sigma_rad": SIGMA, "sigma_pm_rad_yr": SIGMA_PM}
+    survey = SurveyedStars(name="HIP", places=places, single=~good, **sigma)
     return NamedStars("sky", found, np.arange(n), survey, zero, ())
 
 
@@ -191,10 +152,8 @@ def test_the_motion_of_a_trace_is_that_of_a_star_that_stands_still_in_the_sky(ta
             before, after = (camera_from_gcrs(t + half) @ star_i for half in (-PERIOD / 2, PERIOD / 2))
             x, y = FOCAL_M / PITCH_M * (after[:2] / after[2] - before[:2] / before[2])  # px a row
             # the detector's axis is (sin, -cos) of its turn in x and y of c; its normal (cos, sin)
-            rate, drift = (
-                -(x * np.cos(TURN_RAD) + y * np.sin(TURN_RAD)),
-                x * np.sin(TURN_RAD) - y * np.cos(TURN_RAD),
-            )
+            rate = -(x * np.cos(TURN_RAD) + y * np.sin(TURN_RAD))
+            drift = x * np.sin(TURN_RAD) - y * np.cos(TURN_RAD)
             assert rate > 1.1 and abs(drift) > 0.05
             assert motion.rate[ccd, k] == pytest.approx(rate, abs=1e-4)  # px; second order of a row's motion
             assert motion.drift[ccd, k] == pytest.approx(drift, abs=1e-4)

@@ -64,17 +64,10 @@ def give_second_scan_to_another_head(folder: Path, R_cs: Rotation) -> Rotation:
     head = toml_tables(folder / "dump.toml", "")
     images = {name: head["files"].pop(name) for name in ("star_camera", "installation", "exposures")}
     images["camera"] = images.pop("star_camera")
-    second = {
-        "installation": "second.toml",
-        "attitudes": "second.csv",
-        "frame": "GCRF",
-        "rotation": "inertial to head",
-        "aberration_removed": "annual and orbital",
-    }
-    head["star_cameras"] = [
-        {"name": "first", "level": "images", **images},
-        {"name": "second", "level": "attitudes", **second},
-    ]
+    second = {"installation": "second.toml", "attitudes": "second.csv", "frame": "GCRF"}
+    second |= {"rotation": "inertial to head", "aberration_removed": "annual and orbital"}
+    first = {"name": "first", "level": "images", **images}
+    head["star_cameras"] = [first, {"name": "second", "level": "attitudes", **second}]
     write_toml(folder / "dump.toml", head)
     return true
 

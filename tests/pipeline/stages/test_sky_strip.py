@@ -28,7 +28,7 @@ from boresight.pipeline.report.evidence import star_pictures
 from boresight.pipeline.run.settings import Settings
 from boresight.pipeline.run.unit_store import UnitStore
 from boresight.pipeline.stages.sky_side import scatter_px
-from boresight.pipeline.stages.sky_strip import NamedStars, find_sky_stars
+from boresight.pipeline.stages.sky_strip import find_sky_stars
 from boresight.records.ledger import Reason
 from boresight.star_id.strip_stars.settings import StripStarSettings
 
@@ -176,9 +176,8 @@ def test_the_command_writes_result_report_and_status_of_a_dump_of_the_sky_alone(
 def test_a_camera_stated_so_uncertain_that_no_name_is_sure_says_so(dump, units):
     text = (dump / "dump.toml").read_text()
     (dump / "dump.toml").write_text(re.sub(r"look_distortion_px = \S+", "look_distortion_px = 6.0", text))
-    with pytest.raises(
-        DataNotSufficientError, match=r"sky: 1; .*name unsure, .*: of the stated errors look_distortion_px"
-    ):
+    says = r"sky: 1; .*name unsure, .*: of the stated errors look_distortion_px"
+    with pytest.raises(DataNotSufficientError, match=says):
         calibrate_dump(open_dump(dump), store=units)
 
 
@@ -260,12 +259,8 @@ def test_a_star_counts_as_found_within_the_errors_that_are_stated(calibration):
 
 def test_two_exposures_let_stars_lie_as_far_off_as_the_satellite_may_move(calibration):
     dump, (task,) = open_dump(SKY), calibration.sky.tasks
-    two = replace(
-        task,
-        t_attitude_s=task.t_attitude_s[:2],
-        R_si=task.R_si[:2],
-        covariance_c=task.covariance_c[:2, :, :2],
-    )
+    attitudes = {"t_attitude_s": task.t_attitude_s[:2], "R_si": task.R_si[:2]}
+    two = replace(task, **attitudes, covariance_c=task.covariance_c[:2, :, :2])
     moved_px = dump.errors.motion_arcsec * ARCSEC / dump.line_camera.pixel_rad
     assert len(task.t_attitude_s) > 2 and moved_px > 1.0
     assert scatter_px(dump, two) == pytest.approx(np.hypot(scatter_px(dump, task), moved_px))
@@ -284,14 +279,8 @@ def counted(dump, side, named, calibration):
 def replace_named(one, found, rows):
     """The named stars of a strip of which only the detections `rows` have names."""
     keep = np.isin(one.rows, rows)
-    return NamedStars(
-        strip_id=one.strip_id,
-        found=found,
-        rows=one.rows[keep],
-        places=one.places.take(np.flatnonzero(keep)),
-        probability_wrong=one.probability_wrong[keep],
-        omissions=(),
-    )
+    named = {"rows": one.rows[keep], "probability_wrong": one.probability_wrong[keep]}
+    return replace(one, found=found, places=one.places.take(np.flatnonzero(keep)), omissions=(), **named)
 
 
 def test_what_several_ccds_lost_counts_together():
