@@ -163,6 +163,8 @@ def test_every_function_documents_parameters_result_and_errors(name: str) -> Non
     head = text.split("Parameters\n---")[1].split("Returns\n---")[0]
     documented = {one for line in re.findall(r"(?m)^([a-z_A-Z0-9, ]+) : ", head) for one in line.split(", ")}
     assert documented == set(inspect.signature(function).parameters)
+    errors = set(re.findall(r"(?m)^(\w+)$", text.split("Raises\n------\n")[1].split("\nExamples\n")[0]))
+    assert {"ValueError"} <= errors <= {"ValueError", "RawDataError", "DataNotSufficientError", "WorkerError"}
 
 
 @pytest.mark.parametrize("name", RESULTS)

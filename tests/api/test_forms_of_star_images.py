@@ -106,7 +106,6 @@ def test_stars_of_the_catalogue_lie_where_pixel_to_sky_says(solution: bs.StarSol
 
 def test_aberration_is_removed_by_the_inverse_of_what_erfa_applies(solution: bs.StarSolution) -> None:
     observer = solution.observer
-    assert observer is not None
     stars = hipparcos_stars().places.take(np.arange(50))
     apparent = apparent_star_directions(stars, observer.epoch, observer.t_s, observer.p_i, observer.v_i)
     turned = Rotation.align_vectors([[0.0, 0.0, 1.0]], apparent[:1])[0]

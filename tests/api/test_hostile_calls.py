@@ -1,7 +1,5 @@
 """Whatever a program hands to the public functions: a result, or an error that docs/python.md lists."""
 
-import inspect
-import re
 import warnings
 from pathlib import Path
 
@@ -32,13 +30,3 @@ def test_no_hostile_argument_raises_an_undocumented_error(
             except one.documented as error:
                 said = str(error)
         assert said is None or (said and "\n" not in said and "\x1b" not in said), (one.name, said)
-
-
-def test_every_error_is_documented_where_it_is_raised() -> None:
-    for name in bs.__all__:
-        function = getattr(bs, name)
-        if inspect.isfunction(function):
-            section = (inspect.getdoc(function) or "").split("Raises\n------\n")[1].split("\nExamples\n")[0]
-            named = set(re.findall(r"(?m)^(\w+)$", section))
-            assert named <= {"ValueError", "RawDataError", "DataNotSufficientError", "WorkerError"}, name
-            assert "ValueError" in named, name

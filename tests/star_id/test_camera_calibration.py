@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from boresight.features.sky_images.sip import tan_sip
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.star_camera import StarCamera
-from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera, residual_map
+from boresight.star_id.camera_calibration import SkyFrame, calibrate_camera, residual_map
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.identification.identify import NotIdentified
 from boresight.star_id.identification.triangle_index import build_index
@@ -62,7 +62,6 @@ def calibrations(index):
 
 def test_ten_frames_give_the_camera_to_a_hundredth_of_a_pixel(calibrations):
     for result in calibrations:
-        assert isinstance(result, CameraCalibration)
         error = model_error(result.camera)
         assert np.sqrt((error**2).mean()) < 0.01  # px
         assert np.hypot(*error.T).max() < 0.03  # px
@@ -116,7 +115,6 @@ def test_a_drift_of_the_focal_length_is_found_where_there_is_one(index):
         per_s = ppm_a_year * 1e-6 / 3.15576e7
         frames = months_of_frames(rng, per_s)
         result = calibrate_camera(frames, NOMINAL, index, SETTINGS, drift=True)
-        assert isinstance(result, CameraCalibration)
         sigma = result.focal_drift_sigma_per_s
         assert sigma * 3.15576e7 < 5e-6  # a year: what 26 frames can tell, a sixth of the drifts here
         assert (abs(result.focal_drift_per_s) > 4.0 * sigma) == (ppm_a_year != 0.0)

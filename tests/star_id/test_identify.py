@@ -96,7 +96,6 @@ def test_stars_in_two_far_clusters_are_identified_by_wider_triangles(index, plac
     plane, field = tangent_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS)
     assert isinstance(identify_stars(plane, field, index, SETTINGS, stages=((0, 0, 18),)), NotIdentified)
     found = identify_stars(plane, field, index, SETTINGS)
-    assert isinstance(found, Identification)
     assert share_right(index.stars.hip[found.stars], found.detections, hip) == 1.0
 
 
@@ -106,7 +105,6 @@ def test_one_true_proposal_is_found_among_thousands(wide_index, places, seed, fa
     rng = np.random.default_rng(seed)
     xy, hip = detections(PAPER_CAMERA, Rotation.random(random_state=rng), places, rng, false=false)
     found = solve_stars(xy, SIZE, wide_index, SETTINGS, fov_x_rad=0.35)
-    assert isinstance(found, FieldSolution)
     assert share_right(found.hip, found.detections, hip) > 0.9
 
 
@@ -229,7 +227,6 @@ def test_faint_stars_are_named_though_bright_ones_are_better_placed(index, place
     found = identify_stars(
         tangent_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS
     )
-    assert isinstance(found, Identification)
     named = dict(zip(found.detections.tolist(), index.stars.hip[found.stars].tolist()))
     assert sum(named.get(k) == hip[k] for k in faint.tolist()) >= len(faint) - 1  # one may be a close pair's
 
@@ -248,7 +245,6 @@ def test_a_star_next_to_a_brighter_one_is_not_named(index, places):
         found = identify_stars(
             tangent_coordinates(PAPER_CAMERA, xy), field_of_camera(PAPER_CAMERA, SETTINGS), index, SETTINGS
         )
-        assert isinstance(found, Identification)
         assert fainter not in index.stars.hip[found.stars]
 
 

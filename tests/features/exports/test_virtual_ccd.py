@@ -1,5 +1,6 @@
 """The virtual CCD: its place by least squares, and that stitched strips show no seam."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -224,18 +225,7 @@ def test_what_no_detector_saw_stays_unknown(scene):
     assert np.isnan(first).any() and np.isfinite(first).any()
     assert np.isnan(strip.stitched(reader(raw), ALL_LINES, (-400, -300))).all()
     with pytest.raises(TypeError, match="LineCamera"):
-        VirtualStrip(
-            Pushbroom(
-                camera=None,
-                rows=model.rows,
-                orbit=model.orbit,
-                earth=EARTH,
-                attitude=model.attitude,
-                R_cs=R_CS,
-                effects=model.effects,
-            ),
-            ConstantHeight(0.0),
-        )
+        VirtualStrip(replace(model, camera=None), ConstantHeight(0.0))
 
 
 @pytest.mark.parametrize(("first", "last", "step", "count"), [(5000.0, 5300.0, 64, 5), (7.0, 9.0, 64, 4)])

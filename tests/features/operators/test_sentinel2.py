@@ -252,7 +252,6 @@ def test_the_operators_refining_of_a_real_datastrip_is_found_again():
         t_s.append(t)
     v_s, u_c, t_s = np.concatenate(v_s), np.concatenate(u_c), np.concatenate(t_s)
     refining = strip.refining
-    assert refining is not None
     found = fit_correction(v_s, u_c, t_s, strip.R_cp, refining.t_middle_s)
     assert 1e6 * found.angles_rad[0] == pytest.approx([c[0] * 1e6 for c in refining.angles], abs=0.005)
     assert 1e6 * found.angles_rad[1] == pytest.approx([c[1] * 1e6 for c in refining.angles], abs=0.005)
