@@ -12,6 +12,7 @@ import sysconfig
 import tempfile
 import venv
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -151,3 +152,15 @@ def finished(made_once) -> tuple[Path, Path]:
 
     folder = made_once("finished", fill)
     return folder / "dump", folder / "result"
+
+
+@pytest.fixture
+def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten example strips of each planned campaign, where only the order of their errors counts."""
+    from boresight.features.planning import campaign_plan
+    from boresight.pipeline.forecast import campaigns
+
+    monkeypatch.setattr(campaign_plan, "DRAWS", 1)
+    monkeypatch.setattr(campaign_plan, "PLAN_DRAWS", 10)
+    monkeypatch.setattr(campaigns, "PLAN_DRAWS", 10)
+    monkeypatch.setattr(campaign_plan, "forecast_of_plan", partial(campaigns.forecast_of_plan, draws=10))

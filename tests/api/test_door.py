@@ -24,7 +24,6 @@ from wrong_vectors import drawn_vectors
 
 import boresight as bs
 from boresight.display import Result
-from boresight.features.planning import campaign_plan
 from boresight.geometry.constants import ARCSEC
 
 ROOT = Path(__file__).parents[2]
@@ -133,13 +132,13 @@ WITH_EXAMPLES = sorted(
 
 
 @pytest.mark.parametrize("module", WITH_EXAMPLES)
-def test_examples_of_the_docstrings_run(module: str, demo: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_examples_of_the_docstrings_run(
+    module: str, demo: Path, few_draws: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Those of `calibrate` itself calibrate the example; the others begin with its result."""
     monkeypatch.chdir(ROOT)
     if module != bs.calibrate.__module__:
         monkeypatch.setattr(bs, "calibrate", lambda dump: bs.read_result(demo / "demo-result"))
-    monkeypatch.setattr(campaign_plan, "DRAWS", 1)  # how often a strip is drawn is not what is shown
-    monkeypatch.setattr(campaign_plan, "PLAN_DRAWS", 10)
     done = doctest.testmod(importlib.import_module(module))
     assert done.failed == 0
     assert done.attempted >= 2

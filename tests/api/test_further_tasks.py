@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 
 import boresight as bs
 from boresight import accepted
-from boresight.features.planning import campaign_plan
 
 MINI = Path(__file__).parents[2] / "fixtures" / "mini"
 EXPOSURE = MINI / "exposures" / "e0001.png"
@@ -69,9 +68,7 @@ def test_a_plot_takes_every_form_of_its_image_and_no_other_image(pixels: np.ndar
     plt.close("all")
 
 
-def test_a_plan_takes_numbers_of_numpy_and_its_forecast_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(campaign_plan, "DRAWS", 1)  # how often a strip is drawn is not what is tested
-    monkeypatch.setattr(campaign_plan, "PLAN_DRAWS", 10)
+def test_a_plan_takes_numbers_of_numpy_and_its_forecast_is_drawn(few_draws: None) -> None:
     plan = {"strips": {"count": np.int64(6)}, "targets": {"sigma_px": np.float32(0.25)}}
     forecast = bs.forecast(plan)
     plain = bs.forecast({"strips": {"count": 6}, "targets": {"sigma_px": 0.25}})

@@ -4,6 +4,7 @@ import json
 import sqlite3
 
 import numpy as np
+import pandas as pd
 import pytest
 from command_line import invoked, ran
 from drawn_campaigns import squared
@@ -93,10 +94,6 @@ def test_references_of_results_do_not_matter(tmp_path):
 
 
 def test_a_finished_result_is_added_once_and_read_by_pandas_and_as_a_geopackage(finished, tmp_path):
-    import pandas as pd
-    import rasterio  # GDAL is there: the file must at least be a database that it would accept
-
-    assert rasterio.__gdal_version__
     asked = ("archive", "add", finished[1], "--to", tmp_path)
     assert "added" in invoked(*asked).output
     assert "there already" in invoked(*asked).output
