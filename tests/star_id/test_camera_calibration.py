@@ -14,7 +14,6 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.camera_calibration import SkyFrame, calibrate_camera, residual_map
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.identification.identify import NotIdentified
-from boresight.star_id.identification.triangle_index import build_index
 from boresight.star_id.observer import Observer
 from boresight.star_id.settings import StarSettings
 
@@ -25,12 +24,6 @@ NOMINAL = StarCamera(
 SETTINGS = StarSettings()
 EPOCH = Epoch.from_utc("2026-01-01T00:00:00Z")
 P_I, V_I = np.array([6.9e6, 0.0, 0.0]), np.array([0.0, 1.0e3, 7.5e3])  # m, m/s
-
-
-@pytest.fixture(scope="module")
-def index():
-    places = hipparcos_stars(8.0).places
-    return build_index(places, places.epoch_jyear, (np.radians(15.0), np.radians(24.0)))
 
 
 def sky_frame(name, rng, camera=TRUTH, observer=None):

@@ -35,12 +35,6 @@ IMAGES = 24
 
 
 @pytest.fixture(scope="module")
-def index():
-    places = hipparcos_stars(8.0).places
-    return build_index(places, places.epoch_jyear, (np.radians(15.0), np.radians(24.0)))
-
-
-@pytest.fixture(scope="module")
 def images():
     rng, places = np.random.default_rng(21), hipparcos_stars(8.0).places
     attitudes = [Rotation.random(random_state=rng) for _ in range(IMAGES)]
