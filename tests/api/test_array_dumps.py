@@ -83,9 +83,7 @@ def attitudes() -> dict:
     return given
 
 
-def test_attitudes_about_bold_axes_give_the_true_matrix_or_one_that_a_blind_spot_states(
-    attitudes: dict,
-) -> None:
+def test_attitudes_about_bold_axes_give_the_true_matrix_or_one_that_a_blind_spot_states(attitudes):
     """Axes of the head are bold, and its aberration is left in; its line of sight is right, then is not."""
     true_s, degrees = BOLD.apply([0.0, 0.0, 1.0]), 3.0
     right = bs.calibrate(bs.dump_from_arrays(**attitudes, line_of_sight_s=true_s))

@@ -113,9 +113,7 @@ def libraries_s() -> list[float]:
         (["identify", str(EXPOSURE), "--fov", "18.6"], 0.75, {"pydantic", "pandas", "pyarrow", "rasterio"}),
     ],
 )
-def test_a_command_loads_what_it_needs(
-    words: list[str], limit: float, unneeded: set[str], libraries_s: list[float]
-) -> None:
+def test_a_command_loads_what_it_needs(words, limit, unneeded, libraries_s):
     spent_s: list[float] = []
     while len(spent_s) < 8 and min(spent_s, default=np.inf) > limit * min(libraries_s):
         if spent_s:  # a first run compiles
@@ -132,9 +130,7 @@ WITH_EXAMPLES = sorted(
 
 
 @pytest.mark.parametrize("module", WITH_EXAMPLES)
-def test_examples_of_the_docstrings_run(
-    module: str, demo: Path, few_draws: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_examples_of_the_docstrings_run(module, demo, few_draws, monkeypatch):
     """Those of `calibrate` itself calibrate the example; the others begin with its result."""
     monkeypatch.chdir(ROOT)
     if module != bs.calibrate.__module__:
@@ -287,9 +283,7 @@ def test_callers_mistakes_are_named(estimate: bs.Calibration, tmp_path: Path) ->
             bs.calibrate([MINI] * n)
 
 
-def test_a_dump_gives_the_same_matrix_in_memory_and_in_a_folder(
-    estimate: bs.Calibration, dump: Path, tmp_path: Path
-) -> None:
+def test_a_dump_gives_the_same_matrix_in_memory_and_in_a_folder(estimate, dump, tmp_path):
     in_folder = bs.calibrate(dump, out=tmp_path / "result")
     again = bs.read_result(tmp_path / "result")
     for other in (in_folder, again):
@@ -427,9 +421,7 @@ PAGES = "pipeline.report.page", "features.sky_images.identify_page", "features.t
         ),
     ],
 )
-def test_a_module_loads_no_library_that_it_does_not_need(
-    modules: tuple[str, ...], needed: set[str], unneeded: set[str]
-) -> None:
+def test_a_module_loads_no_library_that_it_does_not_need(modules, needed, unneeded):
     code = f"import sys, boresight{''.join(f', boresight.{name}' for name in modules)}; print(*sys.modules)"
     loaded = set(subprocess.check_output([sys.executable, "-c", code], text=True).split())
     assert needed <= loaded and not unneeded & loaded

@@ -76,9 +76,7 @@ def test_a_result_folder_gives_the_points_of_its_evidence(finished: tuple[Path, 
     np.testing.assert_allclose(out.geometry.x, known["lon_deg"], rtol=0, atol=1e-8)
 
 
-def test_a_result_of_several_dumps_gives_the_points_and_stars_of_each(
-    finished: tuple[Path, Path], tmp_path: Path
-) -> None:
+def test_a_result_of_several_dumps_gives_the_points_and_stars_of_each(finished, tmp_path):
     alone, names = bs.read_result(finished[1]), ["first", "second"]
     for name in names:
         for part in ("evidence", "sightings"):

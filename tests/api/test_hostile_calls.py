@@ -1,7 +1,6 @@
 """Whatever a program hands to the public functions: a result, or an error that docs/python.md lists."""
 
 import warnings
-from pathlib import Path
 
 import pytest
 from hostile_calls import door, hostile_calls
@@ -12,9 +11,7 @@ CALLS = 300
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_no_hostile_argument_raises_an_undocumented_error(
-    finished: tuple[Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_hostile_argument_raises_an_undocumented_error(finished, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     dump, result = finished
     image = dump / "exposures" / "e0001.png"

@@ -92,9 +92,7 @@ def test_version_needs_neither_git_nor_an_installation(tmp_path: Path) -> None:
     assert told == f"boresight {__version__}\n"
 
 
-def test_installed_wheel_runs_the_demo_outside_the_repository(
-    installed: Path, demo: Path, tmp_path: Path
-) -> None:
+def test_installed_wheel_runs_the_demo_outside_the_repository(installed, demo, tmp_path):
     shutil.copytree(demo, tmp_path, dirs_exist_ok=True)
     for unit in sorted((tmp_path / "demo-result" / "work" / "exposures").iterdir())[::12]:
         unit.unlink()  # these exposures and the first strip are the wheel's, the others the checkout's

@@ -137,9 +137,7 @@ def test_covariance_holds_with_errors_of_heads_that_outlast_a_strip(slow: str, h
 
 
 @pytest.mark.parametrize(("strips", "largest_share"), [(3, 0.75), (14, 0.4)])
-def test_errors_that_come_back_are_recovered_as_far_as_strips_lie_around_the_orbit(
-    strips: int, largest_share: float
-) -> None:
+def test_errors_that_come_back_are_recovered_as_far_as_strips_lie_around_the_orbit(strips, largest_share):
     sizes, runs, squares, shares = np.array([6.0, 4.0, 12.0]) * ARCSEC, 10, 0.0, []
     for seed in range(runs):
         rng = np.random.default_rng(seed)

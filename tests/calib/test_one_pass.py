@@ -266,9 +266,7 @@ def vector_sets(frames: Sequence[tuple[Floats, ...]]) -> VectorSets:
 @pytest.mark.parametrize(
     ("kind", "model"), [*((kind, MODEL) for kind in KINDS), ("mixed", LASTING), ("heads", LASTING)]
 )
-def test_the_estimate_is_that_of_the_whole_however_it_is_cut_into_strips(
-    kind: str, model: CalibrationSettings
-) -> None:
+def test_the_estimate_is_that_of_the_whole_however_it_is_cut_into_strips(kind, model):
     @settings(max_examples=EXAMPLES, derandomize=True, deadline=None, database=None)
     @given(st.lists(CUTS, min_size=6, max_size=6), st.integers(0, 999))
     def law(cuts: list[Cut], seed: int) -> None:

@@ -74,9 +74,7 @@ def test_stated_covariance_matches_the_scatter(invented_pairs: Pairs):
 
 
 @pytest.mark.parametrize("contrast", [0.2, 5.0])
-def test_place_and_covariance_do_not_depend_on_the_contrast_of_the_strip(
-    invented_pairs: Pairs, contrast: float
-):
+def test_place_and_covariance_do_not_depend_on_the_contrast_of_the_strip(invented_pairs, contrast):
     for pair in invented_pairs["clean", 64][:4]:
         usual, other = (
             placed(pair),

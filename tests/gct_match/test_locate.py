@@ -181,9 +181,7 @@ def test_of_two_peaks_the_one_with_the_higher_correlation_is_accepted(invented: 
         ({"probability_wrong": 0.0}, Reason.PROBABLY_WRONG),
     ],
 )
-def test_a_position_beyond_a_limit_is_refused_with_value_and_limit(
-    invented: NDArray, limits: dict, reason: Reason
-):
+def test_a_position_beyond_a_limit_is_refused_with_value_and_limit(invented, limits, reason):
     pair = make_pair(invented, np.random.default_rng(8), size_px=64, margin_px=MARGIN, condition="clean")
     start = (pair.offset_px[0] + 31.5, pair.offset_px[1] + 31.5)
     refused = locate_template(pair.template, pair.window, start, settings=replace(SETTINGS, **limits))

@@ -103,9 +103,7 @@ def test_target_in_the_overlap_is_placed_in_both_ccds(case: Case):
     assert sorted(m.ccd for m in outcome.matches) == inside
 
 
-def test_targets_compared_in_groups_are_those_that_agree_together(
-    case: Case, outcome: StripMatches, monkeypatch: pytest.MonkeyPatch
-):
+def test_targets_compared_in_groups_are_those_that_agree_together(case, outcome, monkeypatch):
     """Of very many, those that follow one another in time are compared: time and memory grow with them."""
     monkeypatch.setattr(consistency, "_MOST_TOGETHER", 5)
     matches = list(outcome.matches)

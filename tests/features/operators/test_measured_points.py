@@ -123,9 +123,7 @@ def test_what_is_written_is_read_as_measured_points(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_file_of_points_that_is_not_sound_is_refused(
-    name: str, text: str, complaint: str, tmp_path: Path
-) -> None:
+def test_file_of_points_that_is_not_sound_is_refused(name, text, complaint, tmp_path):
     (tmp_path / name).write_text(text)
     with pytest.raises(RawDataError, match=complaint):
         read_measured_points(

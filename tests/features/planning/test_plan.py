@@ -79,9 +79,7 @@ def test_a_gyro_carries_two_exposures_over_a_strip(few_draws: None, monkeypatch:
     assert np.all(good < 0.5 * without) and np.all(good < 0.9 * poor)
 
 
-def test_strips_of_the_sky_are_forecast_as_they_are_planned(
-    few_draws: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_strips_of_the_sky_are_forecast_as_they_are_planned(few_draws, monkeypatch):
     parts = []
     monkeypatch.setattr(
         campaign_plan, "compare_campaigns", lambda ground, sky, cameras: parts.append(sky) or {}

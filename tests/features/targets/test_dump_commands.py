@@ -102,9 +102,7 @@ def test_all_errors_of_all_files_are_found_at_once(handmade: Path, tmp_path: Pat
     assert page.read_text().count("<li>") == sum(expected.values())
 
 
-def test_a_sound_dump_shows_footprints_and_the_nearest_miss_of_every_target(
-    one_strip: Path, tmp_path: Path
-) -> None:
+def test_a_sound_dump_shows_footprints_and_the_nearest_miss_of_every_target(one_strip, tmp_path):
     rows = (one_strip / "targets.csv").read_text().splitlines()
     moved = rows[5].split(",")
     moved[1] = f"{float(moved[1]) + 0.5:.6f}"  # 55 km north
