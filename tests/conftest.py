@@ -80,9 +80,8 @@ def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callab
 @pytest.fixture(scope="session")
 def built(made_once) -> tuple[Path, Path]:
     """Wheel and sdist of the working tree."""
-    folder = made_once(
-        "dist", lambda folder: run(sys.executable, "-m", "hatchling", "build", "-d", folder, cwd=ROOT)
-    )
+    build = (sys.executable, "-m", "hatchling", "build", "-d")
+    folder = made_once("dist", lambda folder: run(*build, folder, cwd=ROOT))
     return next(folder.glob("*.whl")), next(folder.glob("*.tar.gz"))
 
 

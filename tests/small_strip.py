@@ -159,9 +159,8 @@ def make_case(
         transform = (GROUND_M, 0.0, corner[0], 0.0, -GROUND_M, corner[1])
         valid = np.ones(image.shape, dtype=bool)
         targets.append(Target(f"t{n:02d}", p_e, np.full(3, 0.1)))
-        chips.append(
-            Chip(f"t{n:02d}", image.astype(np.float32), transform, f"EPSG:{32600 + _zone(true)}", valid)
-        )
+        crs = f"EPSG:{32600 + _zone(true)}"
+        chips.append(Chip(f"t{n:02d}", image.astype(np.float32), transform, crs, valid))
     wrong = true.with_installation(deviation_from_theta(theta).inv() * MOUNTING)
     return Case(SmallStrip(images), wrong, true, targets, chips, theta)
 

@@ -9,8 +9,6 @@ from astropy.time import Time
 
 import boresight as bs
 
-__all__ = ["arrays_of"]
-
 
 def arrays_of(mini: Path) -> dict[str, object]:
     """Arguments of `dump_from_arrays` by name, of the first strip."""

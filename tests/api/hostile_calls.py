@@ -21,8 +21,6 @@ from wrong_vectors import drawn_vectors
 
 import boresight as bs
 
-__all__ = ["DOCUMENTED", "Door", "door", "hostile_calls"]
-
 DOCUMENTED = (ValueError, bs.RawDataError, bs.DataNotSufficientError, bs.WorkerError)
 MOST_REPLACED = 3
 

@@ -46,10 +46,8 @@ def both(
         X = np.concatenate([line.X_q, line.along(np.eye(line.n_common)), line.r[:, :, None]], axis=2)
         (S, _, width), n = X.shape, line.X_q.shape[2]
         of_heads = np.zeros((S, ties.shape[1], width))
-        of_heads[:, :, :n_phi], of_heads[:, :, n_phi - ties.shape[2] :] = (
-            ties[:, :, :n_phi],
-            ties[:, :, n_phi:],
-        )
+        of_heads[:, :, :n_phi] = ties[:, :, :n_phi]
+        of_heads[:, :, n_phi - ties.shape[2] :] = ties[:, :, n_phi:]
         prior = np.broadcast_to(np.eye(n, width), (S, n, width))
         rows.append((np.concatenate([X, prior, of_heads], axis=1), n))
     return problem, rows
@@ -118,9 +116,8 @@ def test_points_a_hundred_times_as_sharp_as_the_attitudes_lose_no_digits() -> No
         for one in rows:
             R, N = np.linalg.qr(one, mode="r")[n:, n:], one.T @ one
             parts.append((R.T @ R)[:-1, :-1])
-            by_normal_equations.append(
-                (N[n:, n:] - N[n:, :n] @ np.linalg.inv(N[:n, :n]) @ N[:n, n:])[:-1, :-1]
-            )
+            left = N[n:, n:] - N[n:, :n] @ np.linalg.inv(N[:n, :n]) @ N[:n, n:]
+            by_normal_equations.append(left[:-1, :-1])
     expected = np.array(parts)
     scale = np.sqrt(np.einsum("sii->si", expected))
     apart, by_all = (

@@ -177,9 +177,8 @@ def test_vibration_seen_by_the_exposures_adds_to_the_covariance_of_their_attitud
     )
     weights = interpolation_weights(np.array([e.t_s for e in strip.exposures]), strip.ground.t_s, points=4)
     phi = slice(0, 3 * len(strip.exposures))
-    added = [
-        np.einsum("jan,jbn->jab", p.attitude_s[:, :, phi], p.attitude_s[:, :, phi]) for p in (shaken, still)
-    ]
+    parts = (p.attitude_s[:, :, phi] for p in (shaken, still))
+    added = [np.einsum("jan,jbn->jab", part, part) for part in parts]
     across = np.eye(3) - still.v_s[:, :, None] * still.v_s[:, None, :]
     expected = sigma**2 * np.sum(weights**2, axis=1)[:, None, None] * across
     np.testing.assert_allclose(added[0] - added[1], expected, rtol=0, atol=1e-6 * sigma**2)

@@ -270,9 +270,8 @@ def test_template_map_between_nodes_is_that_of_the_model(case: Case):
     xy = np.column_stack(case.true.pixels_from_ground(0, target.p_e[None]))[0]
     origin = (int(xy[0]) - 40, int(xy[1]) - 40)
     whole = predict_template(chip, case.true, 0, origin, (81, 81), SURFACE, MatchSettings())
-    part = predict_template(
-        chip, case.true, 0, (origin[0] + 20, origin[1] + 17), (5, 5), SURFACE, MatchSettings()
-    )
+    corner = (origin[0] + 20, origin[1] + 17)
+    part = predict_template(chip, case.true, 0, corner, (5, 5), SURFACE, MatchSettings())
     gradient = np.abs(np.diff(whole.image)).max()
     assert np.abs(whole.image[17:22, 20:25] - part.image).max() < 0.01 * gradient  # 0.01 px of misplacement
 

@@ -35,9 +35,8 @@ def test_attitude_is_the_one_that_apparent_directions_give(removed: str, k: int,
     u_s /= np.linalg.norm(u_s, axis=1, keepdims=True)
     apparent = ATTITUDES[k].inv().apply(u_s)
     catalogue = seen_by(apparent, -(earth + VELOCITIES_I[k]))  # of velocities below 1e-4 c: to 1e-8
-    of_the_head = {"none": catalogue, "annual": seen_by(catalogue, earth), "annual and orbital": apparent}[
-        removed
-    ]
+    seen = {"none": catalogue, "annual": seen_by(catalogue, earth), "annual and orbital": apparent}
+    of_the_head = seen[removed]
     reported, _ = Rotation.align_vectors(u_s, of_the_head)
     got = with_all_aberration(
         Rotation.concatenate([R_hs * reported]),

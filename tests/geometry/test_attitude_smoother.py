@@ -88,9 +88,8 @@ def test_smoothed_attitudes_are_those_of_the_full_matrices() -> None:
     # rows of two heads 0.01 and 0.04 s apart share a node, where a correlated error has 0.7 s or more
     np.testing.assert_allclose(off.ravel() / sigma, 0.0, atol=0.02)
     root = found.root_s(WANTED).reshape(len(sigma), -1)
-    np.testing.assert_allclose(
-        root @ root.T / np.outer(sigma, sigma), covariance / np.outer(sigma, sigma), atol=0.02
-    )
+    scale = np.outer(sigma, sigma)
+    np.testing.assert_allclose(root @ root.T / scale, covariance / scale, atol=0.02)
     own = np.einsum("jaja->ja", covariance.reshape(len(WANTED), 3, len(WANTED), 3))
     np.testing.assert_allclose(np.einsum("jaa->ja", found.covariance_s(WANTED)), own, rtol=0.02)
 

@@ -154,9 +154,8 @@ def test_vibration_has_the_size_that_was_asked_for(mission):
 
 def test_targets_and_check_points_are_seen_by_some_ccd(mission):
     ids = {point.point_id for point in mission.truth.targets}
-    assert (
-        ids == {target.target_id for target in mission.targets} == {chip.target_id for chip in mission.chips}
-    )
+    chips = {chip.target_id for chip in mission.chips}
+    assert ids == {target.target_id for target in mission.targets} == chips
     assert len(ids) == 8
     for point in (*mission.truth.targets, *mission.truth.check_points):
         assert -0.5 <= point.sample <= 511.5

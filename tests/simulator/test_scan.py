@@ -119,9 +119,8 @@ def surface(model, tables):
 
 def rendered(model, surface, ground, ccd, sigma_texel=2.2, wanted=None):
     step = needed_sample_step(model, surface, LINES)
-    scene = TrueScene(
-        model.tabulated(-10.0, LINES + 10.0), surface, EPSG, BlurredGround(ground, sigma_texel), step
-    )
+    blurred = BlurredGround(ground, sigma_texel)
+    scene = TrueScene(model.tabulated(-10.0, LINES + 10.0), surface, EPSG, blurred, step)
     gain = np.ones(SCENARIO.line_camera.samples, np.float32)
     wanted = all_panels(LINES, len(gain)) if wanted is None else wanted
     rng = np.random.default_rng(3)
@@ -267,10 +266,8 @@ def test_ccds_overlap_by_what_was_asked_for():
         first_of_right = right.focal_plane(np.array([0.0]))[0, 1]
         sample, _ = left.samples(np.array([[left.x_offset_m, first_of_right]]))
         assert settings.samples - sample[0] == pytest.approx(settings.overlap_px, abs=0.05)  # rotated: µrad
-    ends = [
-        camera.ccds[0].focal_plane(np.array([0.0]))[0, 1],
-        camera.ccds[-1].focal_plane(np.array([511.0]))[0, 1],
-    ]
+    first, last = camera.ccds[0], camera.ccds[-1]
+    ends = [first.focal_plane(np.array([0.0]))[0, 1], last.focal_plane(np.array([511.0]))[0, 1]]
     assert sum(ends) == pytest.approx(0.0, abs=1e-5)  # m
 
 

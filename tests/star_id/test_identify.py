@@ -68,9 +68,7 @@ def share_right(named_hip, rows, hip):
     return (named_hip == hip[rows]).mean()
 
 
-@pytest.mark.parametrize(
-    ("stars", "false", "least"), [(138, 0, 15), (138, 50, 15), (138, 200, 14), (8, 3, 15)]
-)
+@pytest.mark.parametrize("stars, false, least", [(138, 0, 15), (138, 50, 15), (138, 200, 14), (8, 3, 15)])
 def test_a_known_camera_is_identified_among_false_stars(index, places, stars, false, least):
     rng = np.random.default_rng([1, stars, false])
     named = 0

@@ -68,26 +68,9 @@ def camera() -> LineCamera:
     samples = np.linspace(0.0, 2047.0, 25)
     x = (samples - 1000.0) / 1000.0
     strong = -(2e-5 * x**3 + 3e-5 * x**5)  # 5 px at the ends, of a degree that no cubic follows
-    return LineCamera(
-        10.0,
-        (
-            Ccd(
-                n_px=2048,
-                y_first_m=-0.03,
-                x_offset_m=0.002,
-                rotation_rad=1.2e-3,
-                pixel_m=1e-5,
-                principal_sample=1000.0,
-                distortion_samples=samples,
-                distortion_offsets_m=strong,
-            ),
-            Ccd(
-                n_px=2048,
-                y_first_m=-0.0115,
-                x_offset_m=-0.003,
-                rotation_rad=-8e-4,
-                pixel_m=1e-5,
-                principal_sample=1023.0,
-            ),
-        ),
+    table = {"distortion_samples": samples, "distortion_offsets_m": strong}
+    places = (
+        {"y_first_m": -0.03, "x_offset_m": 0.002, "rotation_rad": 1.2e-3, "principal_sample": 1000.0} | table,
+        {"y_first_m": -0.0115, "x_offset_m": -0.003, "rotation_rad": -8e-4, "principal_sample": 1023.0},
     )
+    return LineCamera(10.0, tuple(Ccd(n_px=2048, pixel_m=1e-5, **place) for place in places))

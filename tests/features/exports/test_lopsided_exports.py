@@ -31,7 +31,6 @@ def test_kml_has_longitude_before_latitude_and_the_height_of_each_target() -> No
         assert [float(value) for value in text.split(",")] == [longitude, latitude, above]
         assert marks[name].findtext(f"{KML}styleUrl") == ("#rejected" if name == "Walvis" else "#used")
     ring = marks["S"].findtext(f".//{KML}LinearRing/{KML}coordinates").split()
-    assert [tuple(map(float, corner.split(",")[:2])) for corner in ring[:-1]] == list(
-        map(tuple, outline.tolist())
-    )
+    corners = [tuple(map(float, corner.split(",")[:2])) for corner in ring[:-1]]
+    assert corners == list(map(tuple, outline.tolist()))
     assert ring[0] == ring[-1]

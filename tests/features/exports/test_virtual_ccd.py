@@ -96,9 +96,7 @@ def scene():
     """The strip and its four raw images of flat textured ground."""
     model = small_strip().tabulated(-600.0, LINES + 600.0)
     ground = Ground(model, np.random.default_rng(11))
-    sample, line = (
-        a.ravel() for a in np.meshgrid(np.arange(WIDTH, dtype=float), np.arange(LINES, dtype=float))
-    )
+    sample, line = (a.ravel() for a in np.meshgrid(np.arange(float(WIDTH)), np.arange(float(LINES))))
     raw = [
         ground.seen_at(model.ground_points(k, sample, line, ConstantHeight(HEIGHT_M))).reshape(LINES, WIDTH)
         for k in range(4)
@@ -137,19 +135,8 @@ def test_the_virtual_line_is_the_least_squares_line_through_all_pixels():
 
 
 def test_a_plain_detector_is_its_own_virtual_ccd():
-    plain = LineCamera(
-        10.0,
-        (
-            Ccd(
-                n_px=500,
-                y_first_m=-0.01,
-                x_offset_m=0.003,
-                rotation_rad=0.02,
-                pixel_m=1e-5,
-                principal_sample=250.0,
-            ),
-        ),
-    )
+    place = {"y_first_m": -0.01, "x_offset_m": 0.003, "rotation_rad": 0.02, "principal_sample": 250.0}
+    plain = LineCamera(10.0, (Ccd(n_px=500, pixel_m=1e-5, **place),))
     ideal = virtual_camera(plain)
     n = np.array([0.0, 123.0, 498.0])
     difference = ideal.directions_from_pixels(0, n) - plain.directions_from_pixels(0, n)
@@ -195,9 +182,8 @@ def test_the_stitched_image_is_the_one_the_virtual_ccd_would_take(scene):
     image = strip.stitched(reader(raw), ALL_LINES, (1000, 1300))
     assert image.shape == (300, strip.width_px)
     line, sample = (a.ravel() for a in np.mgrid[1000.0:1300.0, 0 : strip.width_px])
-    truth = ground.seen_at(
-        strip.virtual.ground_points(0, sample.astype(float), line, ConstantHeight(HEIGHT_M))
-    )
+    places = strip.virtual.ground_points(0, sample.astype(float), line, ConstantHeight(HEIGHT_M))
+    truth = ground.seen_at(places)
     known = np.isfinite(image)
     assert known[:, 6:-6].all()
     assert np.sqrt(((image - truth.reshape(image.shape))[known] ** 2).mean()) < 1.0

@@ -128,7 +128,6 @@ def test_the_file_has_the_rpc_in_its_tags_and_beside_it(finished: tuple[Path, Pa
         for ccd, begin, end in strip.seams(float(line.mean())):
             sample = np.linspace(begin + 2.0, end - 2.0, 20)
             raw = strip.source_pixels(ccd, sample, line)
-            off = by_gdal(rpc, model.pushbroom.ground_points(ccd, *raw, surface)) - np.column_stack(
-                [sample, line]
-            )
+            pixels = np.column_stack([sample, line])
+            off = by_gdal(rpc, model.pushbroom.ground_points(ccd, *raw, surface)) - pixels
             assert np.hypot(*off.T).max() < MOST_PX

@@ -129,9 +129,8 @@ def test_every_printed_number_is_that_for_programs(noise):
 
 def both(dump) -> tuple[Rotation, Rotation, Rotation]:
     """Attitudes of both trackers, inertial to tracker, and the true rotation from the second to the first."""
-    tables = (
-        np.loadtxt(dump / f"STR{n}.csv", delimiter=",", skiprows=1, usecols=(1, 2, 3, 4)) for n in (1, 2)
-    )
+    columns = {"delimiter": ",", "skiprows": 1, "usecols": (1, 2, 3, 4)}
+    tables = (np.loadtxt(dump / f"STR{n}.csv", **columns) for n in (1, 2))
     one, two = (Rotation.from_quat(table).inv() for table in tables)
     first, second = open_dump(dump).heads
     return one, two, MOVED * first.R_cs0.inv() * second.R_cs0

@@ -96,9 +96,8 @@ def test_places_of_a_dimap_are_compared_with_each_node_of_a_location_grid(tmp_pa
     bands, moved_m = [], {0.0: np.zeros(15), 800.0: 3.0 * (np.arange(15) == 7)}
     for altitude, off in moved_m.items():
         ground = ConstantHeight(altitude)
-        lat, lon, _ = geodetic_from_ecef(
-            strip.pushbroom.ground_points(0, 4e3 * column, 3e3 * row, ground), WGS84
-        )
+        places = strip.pushbroom.ground_points(0, 4e3 * column, 3e3 * row, ground)
+        lat, lon, _ = geodetic_from_ecef(places, WGS84)
         bands += [np.degrees(lon), np.degrees(lat + off / 6.37e6)]
     nodes = np.reshape(bands, (4, 3, 5))
     placed = rasterio.Affine(4e3, 0.0, 0.5, 0.0, 3e3, 0.5)  # (0.5, 0.5): the centre of the first pixel

@@ -22,9 +22,7 @@ LAT_LON = [[32.7, -16.95], [32.71, -16.9]]
 XY = [[120.25, 3000.5], [2047.0, 17.0]]  # (0, 0) is the centre of the first pixel
 
 ASP_POINT = "1 32 -16 5 1 1 1 i.tif 1 2 1 1\n"
-MOON = (
-    'GEOGCS["Moon",DATUM["Moon",SPHEROID["Moon",1737400,0]],PRIMEM["R",0],UNIT["degree",0.0174532925199433]]'
-)
+MOON = 'GEOGCS["Moon",DATUM["Moon",SPHEROID["Moon",1737400,0]],PRIMEM["R",0],UNIT["degree",0.01745329252]]'
 UTM = CRS.from_epsg(32628).to_wkt("WKT1_GDAL")
 
 

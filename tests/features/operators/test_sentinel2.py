@@ -110,13 +110,11 @@ def test_the_axes_of_gyros_are_those_that_the_corrected_attitudes_show(files):
     R_is = [Rotation.identity()]
     for step in np.diff(angle, axis=0):
         R_is.append(R_is[-1] * Rotation.from_rotvec(step))
-    axes = Rotation.random(rng=rng).apply(
-        np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3.0)
-    )
+    four = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3.0)
+    axes = Rotation.random(rng=rng).apply(four)
     at = slice(5, 895, 10)
-    errors = np.cumsum(walk * rng.standard_normal((89, 4)), axis=0) + np.outer(
-        t[at], [1e-6, -2e-6, 3e-6, 0.0]
-    )
+    errors = np.cumsum(walk * rng.standard_normal((89, 4)), axis=0)
+    errors += np.outer(t[at], [1e-6, -2e-6, 3e-6, 0.0])
     gyros = GyroAngles(t[at], angle[at] @ axes.T + errors)
     corrected = AttitudeRecord(t, Rotation.concatenate(R_is))
     found = sentinel2_mission([replace(strip, corrected=corrected, gyros=gyros)], "test").gyro

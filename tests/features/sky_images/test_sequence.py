@@ -34,9 +34,8 @@ INDEX = sky_index(CAMERA, None, StarSettings())
 @pytest.fixture(scope="module")
 def slew():
     simulated = sequence(INDEX, 7, 60)
-    return simulated, bs.track(
-        simulated.images, camera=CAMERA, times_s=simulated.times_s, exposure_s=EXPOSURE_S
-    )
+    timing = {"times_s": simulated.times_s, "exposure_s": EXPOSURE_S}
+    return simulated, bs.track(simulated.images, camera=CAMERA, **timing)
 
 
 def test_every_frame_of_a_slew_with_a_gap_and_glare_is_right_or_lost(slew) -> None:

@@ -16,10 +16,12 @@ from astropy.io import fits
 from astropy.time import Time
 from astropy.wcs import WCS
 from drawn_campaigns import squared
-from drawn_pictures import OURS, SERIES_COLOURS, kept_figures, numbers, shows_curves
+from drawn_pictures import SERIES_COLOURS, kept_figures, numbers, shows_curves
 from matplotlib.quiver import QuiverKey
 from recorded_numbers import assert_recorded, columns_of
 from scipy.spatial.transform import Rotation
+
+from boresight.pipeline.report.panels import OURS
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "star_id"))
 
@@ -81,11 +83,8 @@ def test_identify_prints_one_json_object_a_line(folder):
     assert not second["identified"] and "not identified" in second["reason"]
     ran("identify", "--fov", 18.6, folder / "dark.png", status=1)
     found = bs.identify(folder / "sky0.png", fov_deg=18.6)  # to the last digit, errors too
-    assert (first["ra_deg"], first["dec_deg"], first["roll_deg"]) == (
-        found.ra_deg,
-        found.dec_deg,
-        found.roll_deg,
-    )
+    stated = tuple(first[key] for key in ("ra_deg", "dec_deg", "roll_deg"))
+    assert stated == (found.ra_deg, found.dec_deg, found.roll_deg)
     assert (first["pointing_sigma_arcsec"], first["roll_sigma_arcsec"]) == found.sigma_arcsec
     assert first["fov_x_sigma_deg"] == np.degrees(found.field.fov_x_sigma_rad)
 
@@ -301,10 +300,7 @@ def test_a_place_on_the_ground_takes_out_the_air(tmp_path):
     truth = SkyCoord(x=x, y=y, z=z, representation_type="cartesian")
     truth = SkyCoord(truth.spherical.lon, truth.spherical.lat)
     place = ("--times", times, "--site", -31.0, 149.0, 1165.0)
-    on_the_ground, in_space = (
-        pointing(tmp_path / "low.png", *place),
-        pointing(tmp_path / "low.png", *place[:2]),
-    )
+    on_the_ground, in_space = (pointing(tmp_path / "low.png", *one) for one in (place, place[:2]))
     assert on_the_ground.separation(truth).arcsec < 4.0  # 0.05 px, five of the errors stated
     assert in_space.separation(truth).arcsec > 50.0
 
@@ -315,10 +311,7 @@ def test_what_is_said_of_times_and_places_must_be_whole(folder, tmp_path):
         (("--times", times), "no row for sky0.png"),
         (("--site", 50.0, 8.0, 100.0), "expected --times as well"),
         (("--orbit", MINI / "orbit.oem"), "expected --times as well"),
-        (
-            ("--times", times_of(tmp_path / "b.csv", "sky0.png"), "--site", 95.0, 8.0, 100.0),
-            "95.0, 8.0, 100.0",
-        ),
+        (("--times", times_of(tmp_path / "b.csv", "sky0.png"), "--site", 95.0, 8.0, 100.0), "95.0, 8.0"),
         (("--times", times_of(tmp_path / "c.csv", "sky0.png", utc="2020-02-30T00:00:00Z")), "2020-02-30"),
         (("--times", times_of(tmp_path / "d.csv", "sky0.png", "sky0.png")), "each file once"),
     ):
@@ -362,9 +355,8 @@ def test_an_image_that_cannot_be_read_is_left_out_and_told(folder, tmp_path):
     report = tmp_path / "report.json"
     files = ("--out", tmp_path / "camera.toml", "--report", report)
     done = ran("star-camera-calibrate", *images, "--fov", 19.0, *files)
-    refused = {
-        Path(row["file"]).name: row["reason"] for row in json.loads(report.read_text())["frames_refused"]
-    }
+    rows = json.loads(report.read_text())["frames_refused"]
+    refused = {Path(row["file"]).name: row["reason"] for row in rows}
     assert set(refused) == {"torn.png", "small.png"} and "64 x 64 px" in refused["small.png"]
     assert all(f"{name} not used" in done.stdout.replace(str(tmp_path) + "/", "") for name in refused)
     alone = run("star-camera-calibrate", tmp_path / "torn.png", "--fov", 19.0)

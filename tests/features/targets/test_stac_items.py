@@ -203,12 +203,8 @@ def test_api_is_searched(images: dict[str, dict[str, Path]], tmp_path: Path) -> 
 
         def answer(self, wanted: dict, head: bool = False) -> None:
             here = f"http://127.0.0.1:{self.server.server_port}"
-            search = {
-                "rel": "search",
-                "href": f"{here}/search",
-                "type": "application/geo+json",
-                "method": "POST",
-            }
+            search = {"rel": "search", "href": f"{here}/search", "method": "POST"}
+            search["type"] = "application/geo+json"
             root = {"type": "Catalog", "id": "api", "stac_version": "1.0.0", "description": "api"}
             kinds = ["https://api.stacspec.org/v1.0.0/core", "https://api.stacspec.org/v1.0.0/item-search"]
             content = root | {"conformsTo": kinds, "links": [search]}
