@@ -98,17 +98,9 @@ def test_estimate_and_residuals_are_those_with_all_unknowns(heads: int) -> None:
 
 def test_points_a_hundred_times_as_sharp_as_the_attitudes_lose_no_digits() -> None:
     sharp = replace(SETTINGS, sigma_vibration_rad=0.0)
-    strips = [
-        replace(
-            strip,
-            ground=replace(
-                strip.ground,
-                cov_c=strip.ground.cov_c * 1e-4,
-                cov_target_i=np.zeros_like(strip.ground.cov_target_i),
-            ),
-        )
-        for strip in flown(6, 2)
-    ]
+    drawn = flown(6, 2)
+    sharper = [{"cov_c": s.ground.cov_c * 1e-4, "cov_target_i": 0.0 * s.ground.cov_target_i} for s in drawn]
+    strips = [replace(s, ground=replace(s.ground, **errors)) for s, errors in zip(drawn, sharper)]
     problem, groups = both(strips, sharp)
     found = solve_weighted(problem, linearised(problem, TURNED), problem.inside.astype(float)).pairs.F
     parts, by_normal_equations = [], []

@@ -73,12 +73,9 @@ def places(value: Any, at: str = "") -> dict[str, Any]:
 
 def biases(folder: Path) -> tuple[Any, Any]:
     cov = np.diag([0.5, 1.5, 2.5, 0.0003]) ** 2
-    bias = CommonBias(
-        names=("along", "across", "radial", "clock"),
-        value=np.array([1.25, -3.5, 7.75, -0.0125]),
-        covariance=cov,
-        stated=np.array([1.0, 2.0, 3.0, 4.0]),
-    )
+    names, stated = ("along", "across", "radial", "clock"), np.array([1.0, 2.0, 3.0, 4.0])
+    value = np.array([1.25, -3.5, 7.75, -0.0125])
+    bias = CommonBias(names=names, value=value, covariance=cov, stated=stated)
     return bias.texts(), [
         *("along +1.25 ± 0.5 m", "across -3.5 ± 1.5 m", "radial +7.75 ± 2.5 m"),
         "clock -12.5 ± 0.3 ms",

@@ -92,14 +92,8 @@ def test_target_in_the_overlap_is_placed_in_both_ccds(case: Case):
     chip = next(c for c in case.chips if c.target_id == shown.target_id)
     inside = [ccd for ccd in (0, 1) if 8.0 < case.true.pixels_from_ground(ccd, shown.p_e[None])[0][0] < 411.0]
     settings = MatchSettings(smallest_template_px=16)
-    outcome = matched(
-        case,
-        pushbroom=case.true,
-        targets=[shown],
-        chips=[chip],
-        settings=settings,
-        sigma_installation_rad=SURE,
-    )
+    alone = {"targets": [shown], "chips": [chip], "settings": settings}
+    outcome = matched(case, pushbroom=case.true, **alone, sigma_installation_rad=SURE)
     assert sorted(m.ccd for m in outcome.matches) == inside
 
 

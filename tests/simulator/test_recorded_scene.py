@@ -41,14 +41,8 @@ def test_reflectance_is_the_recorded_one():
 
 
 def test_star_image_with_all_its_faults_is_the_recorded_one():
-    sky = replace(
-        SkySettings(),
-        background_gradient_dn=(9.0, -5.0),
-        background_bow_dn=7.0,
-        hot_pixels=30,
-        cosmic_rays=40.0,
-        psf_sigma_corner_px=2.2,
-    )
+    uneven = {"background_gradient_dn": (9.0, -5.0), "background_bow_dn": 7.0, "psf_sigma_corner_px": 2.2}
+    sky = replace(SkySettings(), **uneven, hot_pixels=30, cosmic_rays=40.0)
     rng = np.random.default_rng(3)
     start = rng.uniform(-4.0, (164.0, 124.0), (60, 2))  # some beyond the edges
     paths = start[:, None] + np.linspace(0.0, 3.0, 5)[None, :, None] * rng.normal(size=(60, 1, 2))

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 from pyproj import Transformer
+from strips import pushbroom
 
 from boresight.geometry.attitude import interpolation_weights
 from boresight.geometry.constants import WGS84
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import geodetic_from_ecef
-from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import gaussian_sigma_px
-from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.pushbroom import RowClock
 from boresight.geometry.terrain import ConstantHeight, TerrainGrid
 from boresight.simulator.cameras import (
     calibrated_line_camera,
@@ -92,15 +92,7 @@ def model(tables):
     attitude = true_attitude(SCENARIO.attitude, SCENARIO.errors, R_cs, orbit, earth, rng)
     camera = distorted_line_camera(calibrated_line_camera(SCENARIO.line_camera), SCENARIO.errors, rng)
     rows = RowClock(2.0, SCENARIO.strips.row_period_s)
-    return Pushbroom(
-        camera=camera,
-        rows=rows,
-        orbit=orbit,
-        earth=earth,
-        attitude=attitude.during(1.0, 5.0),
-        R_cs=R_cs,
-        effects=LightEffects(),
-    )
+    return pushbroom(camera, rows, orbit, attitude.during(1.0, 5.0), R_cs)
 
 
 @pytest.fixture(scope="module")

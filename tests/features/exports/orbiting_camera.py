@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from strips import pushbroom
 
 from boresight.features.exports.notes import Notes
 from boresight.geometry.attitude import AttitudeTrack
@@ -13,7 +14,6 @@ from boresight.geometry.constants import GM_EARTH
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
@@ -53,15 +53,8 @@ def strip() -> Pushbroom:
     tilt = Rotation.from_euler("xy", [0.028, 0.012])
     R_ci = Rotation.from_rotvec(wave) * tilt * orbit.R_oi(t_star)
     attitude = AttitudeTrack(t_star, R_CS.inv() * R_ci, orbit)
-    return Pushbroom(
-        camera=camera(),
-        rows=RowClock(19.0 + 1e-3 / 3.0, 7e-5, {0: 0.0, 1: LATER_ROWS}),
-        orbit=orbit,
-        earth=earth,
-        attitude=attitude,
-        R_cs=R_CS,
-        effects=LightEffects(),
-    )
+    rows = RowClock(19.0 + 1e-3 / 3.0, 7e-5, {0: 0.0, 1: LATER_ROWS})
+    return pushbroom(camera(), rows, orbit, attitude, R_CS)
 
 
 def camera() -> LineCamera:

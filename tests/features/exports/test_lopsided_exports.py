@@ -15,14 +15,8 @@ KML = "{http://www.opengis.net/kml/2.2}"
 
 def test_kml_has_longitude_before_latitude_and_the_height_of_each_target() -> None:
     lat, lon, height = np.array(list(PLACES.values())).T
-    points = replace(
-        POINTS,
-        target_id=tuple(PLACES),
-        lat_deg=lat,
-        lon_deg=lon,
-        height_m=height,
-        used=np.array([True, False, True]),
-    )
+    table = {"lat_deg": lat, "lon_deg": lon, "height_m": height, "used": np.array([True, False, True])}
+    points = replace(POINTS, target_id=tuple(PLACES), **table)
     outline = np.column_stack([lon, lat])
     root = ElementTree.fromstring(kml_text({"S": outline}, [points], NOTES))
     marks = {mark.findtext(f"{KML}name"): mark for mark in root.iter(f"{KML}Placemark")}

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from scipy.fft import irfft2, rfft2, rfftfreq
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
-from strips import EARTH, PERIOD_S, R_CS, attitude, orbit
+from strips import PERIOD_S, R_CS, attitude, orbit, pushbroom
 
 from boresight.features.exports.virtual_ccd import VirtualStrip, _nodes, virtual_camera
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
-from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import Ccd, LineCamera
-from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.pushbroom import RowClock
 from boresight.geometry.terrain import ConstantHeight, TerrainGrid
 
 WIDTH, OVERLAP, LINES, HEIGHT_M = 400, 64, 2400, 250.0
@@ -49,15 +48,7 @@ def small_camera():
 def small_strip():
     path = orbit()
     track = attitude(path, 4.0, -3.0, wave_rad=1.5e-4)
-    return Pushbroom(
-        camera=small_camera(),
-        rows=RowClock(0.5, PERIOD_S),
-        orbit=path,
-        earth=EARTH,
-        attitude=track,
-        R_cs=R_CS,
-        effects=LightEffects(),
-    )
+    return pushbroom(small_camera(), RowClock(0.5, PERIOD_S), path, track, R_CS)
 
 
 class Ground:

@@ -10,6 +10,7 @@ from orbiting_camera import EPOCH, R_CS
 from rasterio.rpc import RPC
 from rasterio.transform import RPCTransformer
 from scipy.spatial.transform import Rotation
+from strips import pushbroom
 
 from boresight.features.exports.ground_error import GroundError, ground_error
 from boresight.features.exports.rpc import fit_rpc, rpc_heights, rpc_metadata
@@ -19,7 +20,6 @@ from boresight.geometry.constants import GM_EARTH, WGS84
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.geodesy import geodetic_from_ecef
-from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
@@ -61,15 +61,9 @@ def jittery(latitude_argument: float, node_deg: float, hz: float) -> Pushbroom:
         )
         for k in range(3)
     ]
-    return Pushbroom(
-        camera=LineCamera(10.0, tuple(ccds), 16, "end"),
-        rows=RowClock(0.3, PERIOD_S, {0: 0.0, 1: 412.37, 2: -97.5}),
-        orbit=orbit,
-        earth=earth,
-        attitude=AttitudeTrack(t_star, R_CS.inv() * R_ci, orbit),
-        R_cs=R_CS,
-        effects=LightEffects(),
-    )
+    rows = RowClock(0.3, PERIOD_S, {0: 0.0, 1: 412.37, 2: -97.5})
+    attitude = AttitudeTrack(t_star, R_CS.inv() * R_ci, orbit)
+    return pushbroom(LineCamera(10.0, tuple(ccds), 16, "end"), rows, orbit, attitude, R_CS)
 
 
 def by_gdal(rpc: RPC, p_e: np.ndarray) -> np.ndarray:
