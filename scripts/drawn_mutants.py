@@ -13,6 +13,7 @@ import ast
 import random
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 __all__ = ["Change", "changes_of", "drawn_changes", "nearest_tests"]
@@ -183,13 +184,17 @@ def nearest_tests(root: Path, file: str) -> tuple[str, ...]:
     """
     room, module = file.partition("/")[0], file.removesuffix(".py").replace("/", ".")
     name, package = Path(file).stem, module.rpartition(".")[0]
-    every = {path: path.read_text(encoding="utf-8") for path in (root / "tests").rglob("test_*.py")}
     for wanted in (f"boresight.{module} import", f"boresight.{package}.", f"boresight.{room}."):
         near = [
             (path.stem != f"test_{name}", room not in path.parts, len(text), path)
-            for path, text in every.items()
+            for path, text in _texts(root / "tests").items()
             if wanted in text or path.stem == f"test_{name}"
         ]
         if near:
             return tuple(path.relative_to(root).as_posix() for *_, path in sorted(near)[:MOST_TESTS])
     return ()
+
+
+@cache
+def _texts(tests: Path) -> dict[Path, str]:
+    return {path: path.read_text(encoding="utf-8") for path in tests.rglob("test_*.py")}

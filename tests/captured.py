@@ -2,8 +2,6 @@
 
 import re
 
-__all__ = ["COLUMNS", "wide_rows"]
-
 COLUMNS = 80
 FEWEST_CELLS = 4  # of a line that is a row of a table; others are sentences, which break between words
 # Lines of images: each is a record by itself, of any length, as the names of files are.

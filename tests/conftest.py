@@ -12,6 +12,7 @@ import sysconfig
 import tempfile
 import venv
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -79,9 +80,8 @@ def made_once(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, Callab
 @pytest.fixture(scope="session")
 def built(made_once) -> tuple[Path, Path]:
     """Wheel and sdist of the working tree."""
-    folder = made_once(
-        "dist", lambda folder: run(sys.executable, "-m", "hatchling", "build", "-d", folder, cwd=ROOT)
-    )
+    build = (sys.executable, "-m", "hatchling", "build", "-d")
+    folder = made_once("dist", lambda folder: run(*build, folder, cwd=ROOT))
     return next(folder.glob("*.whl")), next(folder.glob("*.tar.gz"))
 
 
@@ -151,3 +151,15 @@ def finished(made_once) -> tuple[Path, Path]:
 
     folder = made_once("finished", fill)
     return folder / "dump", folder / "result"
+
+
+@pytest.fixture
+def few_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ten example strips of each planned campaign, where only the order of their errors counts."""
+    from boresight.features.planning import campaign_plan
+    from boresight.pipeline.forecast import campaigns
+
+    monkeypatch.setattr(campaign_plan, "DRAWS", 1)
+    monkeypatch.setattr(campaign_plan, "PLAN_DRAWS", 10)
+    monkeypatch.setattr(campaigns, "PLAN_DRAWS", 10)
+    monkeypatch.setattr(campaign_plan, "forecast_of_plan", partial(campaigns.forecast_of_plan, draws=10))

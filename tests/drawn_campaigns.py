@@ -22,17 +22,6 @@ from boresight.simulator.campaign import (
     draw_targets,
 )
 
-__all__ = [
-    "BOLD",
-    "CAMERAS",
-    "R_CS0",
-    "TABLE_1",
-    "assert_chi_square",
-    "draw_other_camera",
-    "nees_of_estimate",
-    "squared",
-]
-
 BOLD = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
 CAMERAS = CameraPair(BOLD)
 R_CS0 = deviation_from_theta(np.array([0.003, 0.002, 0.001])).inv() * BOLD  # the paper's (28)

@@ -22,8 +22,6 @@ from boresight.geometry.sightings import (
 from boresight.records.record import record
 from boresight.simulator.campaign import DrawnStripMotion, StripTruth
 
-__all__ = ["HeadPlan", "correlated_noise", "with_heads"]
-
 Array = NDArray[np.float64]
 
 

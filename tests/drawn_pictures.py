@@ -12,7 +12,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from PIL import Image
 
-from boresight.pipeline.report.panels import OURS, SERIES
+from boresight.pipeline.report.panels import SERIES
 
 FEWEST_PX = 60  # of a line or a few markers; antialiased edges do not count
 
@@ -21,15 +21,6 @@ FEWEST_PX = 60  # of a line or a few markers; antialiased edges do not count
 BLOCK_PX, GREY_LEVELS, FEW_BLOCKS = 8, 16.0, 0.002
 
 SERIES_COLOURS = tuple(colour for colour, *_ in SERIES)
-__all__ = [
-    "OURS",
-    "SERIES_COLOURS",
-    "kept_figures",
-    "numbers",
-    "pixels_of_colour",
-    "same_picture",
-    "shows_curves",
-]
 
 
 def pixels_of_colour(path: Path, colour: str) -> int:

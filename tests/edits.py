@@ -9,8 +9,6 @@ from pathlib import Path
 import numpy as np
 import rasterio
 
-__all__ = ["repaint", "replaced", "rows_of", "write_rows"]
-
 Row = dict[str, str]
 
 

@@ -69,9 +69,8 @@ def as_version_2(text: str, *, listed: bool = False, microseconds: bool = False,
         for second in np.arange(float(offset) - 4.0, float(offset) + 12.0, 1.0 / 32.0):
             x = (second - float(offset)) / float(scale)
             q = np.array([np.polynomial.polynomial.polyval(x, one) for one in of_parts])
-            values = "".join(
-                f"<Q{k}>{value!r}</Q{k}>" for k, value in enumerate((q / np.linalg.norm(q)).tolist())
-            )
+            unit = (q / np.linalg.norm(q)).tolist()
+            values = "".join(f"<Q{k}>{value!r}</Q{k}>" for k, value in enumerate(unit))
             time = midnight + np.timedelta64(round(1e9 * second), "ns")
             quaternions += f"<Quaternion><TIME>{time}Z</TIME>{values}</Quaternion>"
         attitude = f"<Quaternion_List>{quaternions}</Quaternion_List>"

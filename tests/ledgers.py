@@ -6,8 +6,6 @@ import numpy as np
 
 from boresight.records.ledger import Kind, Ledger, Reason
 
-__all__ = ["ledger_of", "ledger_of_cells"]
-
 
 def ledger_of(
     strips: Sequence[str],

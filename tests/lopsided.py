@@ -11,8 +11,6 @@ from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.epoch import Epoch
 
-__all__ = ["ATTITUDES", "EPOCH", "HEADS", "PLACES", "TIMES_S", "VELOCITIES_I"]
-
 EPOCH = Epoch.from_utc("2025-11-03T08:41:07Z")
 TIMES_S = np.array([-813.25, 12.4, 401.7, 5211.9])  # s, and not about zero
 VELOCITIES_I = np.array(  # m/s, GCRS

@@ -5,8 +5,6 @@ from pathlib import Path
 import numpy as np
 import rasterio
 
-__all__ = ["write_raster"]
-
 
 def write_raster(path: Path, pixels: np.ndarray, **profile: object) -> Path:
     """Write pixels (rows, columns) or (bands, rows, columns) as a TIFF; `profile` as rasterio takes it."""

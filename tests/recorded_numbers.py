@@ -19,8 +19,6 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-__all__ = ["assert_recorded", "columns_of", "numbers_in", "summary"]
-
 RECORDS = Path(__file__).with_name("recorded")
 NUMBER = re.compile(r"(?<![\w#.-])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w#])")
 RELATIVE = 2e-4  # other processors and libraries round otherwise, and iterations end elsewhere
@@ -33,10 +31,8 @@ def summary(values: ArrayLike) -> list[float]:
     if not len(good):
         return [0, 0.0, 0.0, 0.0]
     ramp = good * np.linspace(-1.0, 1.0, len(good))
-    return [
-        len(good),
-        *(float(f"{one:.6g}") for one in (good.mean(), np.sqrt(np.mean(good**2)), ramp.mean())),
-    ]
+    sizes = good.mean(), np.sqrt(np.mean(good**2)), ramp.mean()
+    return [len(good), *(float(f"{one:.6g}") for one in sizes)]
 
 
 def numbers_in(text: str) -> list[float]:

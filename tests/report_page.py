@@ -3,8 +3,6 @@
 from boresight.pipeline.report.page import report_parts
 from boresight.pipeline.report.saved import Saved
 
-__all__ = ["report_html"]
-
 
 def report_html(saved: Saved, **given: int) -> str:
     """All parts of the page of a saved result."""

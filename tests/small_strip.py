@@ -15,6 +15,7 @@ from pyproj import Transformer
 from scipy import ndimage
 from scipy.interpolate import RectBivariateSpline
 from scipy.spatial.transform import Rotation
+from strips import pushbroom
 
 from boresight.gct_match.records import Chip, Target
 from boresight.geometry.attitude import AttitudeTrack
@@ -22,7 +23,6 @@ from boresight.geometry.constants import ARCSEC, GM_EARTH
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.orbit import Orbit
@@ -103,15 +103,8 @@ def true_pushbroom() -> Pushbroom:
         )
         for k, (x, turn) in enumerate(((4e-3, 1.5e-5), (-5e-3, -1e-5)))
     )
-    return Pushbroom(
-        camera=LineCamera(10.0, ccds),
-        rows=RowClock(0.0, 0.9e-3),
-        orbit=orbit,
-        earth=earth,
-        attitude=AttitudeTrack(exposures, R_si, orbit),
-        R_cs=MOUNTING,
-        effects=LightEffects(),
-    )
+    attitude = AttitudeTrack(exposures, R_si, orbit)
+    return pushbroom(LineCamera(10.0, ccds), RowClock(0.0, 0.9e-3), orbit, attitude, MOUNTING)
 
 
 def texture(rng: np.random.Generator, side: int) -> NDArray:
@@ -159,9 +152,8 @@ def make_case(
         transform = (GROUND_M, 0.0, corner[0], 0.0, -GROUND_M, corner[1])
         valid = np.ones(image.shape, dtype=bool)
         targets.append(Target(f"t{n:02d}", p_e, np.full(3, 0.1)))
-        chips.append(
-            Chip(f"t{n:02d}", image.astype(np.float32), transform, f"EPSG:{32600 + _zone(true)}", valid)
-        )
+        crs = f"EPSG:{32600 + _zone(true)}"
+        chips.append(Chip(f"t{n:02d}", image.astype(np.float32), transform, crs, valid))
     wrong = true.with_installation(deviation_from_theta(theta).inv() * MOUNTING)
     return Case(SmallStrip(images), wrong, true, targets, chips, theta)
 

@@ -7,8 +7,6 @@ from typing import Any
 
 import pytest
 
-__all__ = ["bucket_served"]
-
 
 @contextlib.contextmanager
 def bucket_served() -> Iterator[tuple[str, Any]]:

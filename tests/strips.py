@@ -60,14 +60,13 @@ def attitude(path, roll_deg=0.0, pitch_deg=0.0, wave_rad=6e-5, yaw_deg=0.0):
     return AttitudeTrack(t_s, R_CS.inv() * R_co * path.R_oi(t_s), path)
 
 
+def pushbroom(camera, rows, path, attitude, R_cs, effects=None):
+    effects = LightEffects() if effects is None else effects
+    parts = {"camera": camera, "rows": rows, "orbit": path, "earth": path.earth, "attitude": attitude}
+    return Pushbroom(**parts, R_cs=R_cs, effects=effects)
+
+
 def strip(roll_deg=0.0, pitch_deg=0.0, effects=None, yaw_deg=0.0, **of_camera):
     path = orbit()
-    return Pushbroom(
-        camera=camera(**of_camera),
-        rows=RowClock(0.013, PERIOD_S),
-        orbit=path,
-        earth=EARTH,
-        attitude=attitude(path, roll_deg, pitch_deg, yaw_deg=yaw_deg),
-        R_cs=R_CS,
-        effects=LightEffects() if effects is None else effects,
-    )
+    track = attitude(path, roll_deg, pitch_deg, yaw_deg=yaw_deg)
+    return pushbroom(camera(**of_camera), RowClock(0.013, PERIOD_S), path, track, R_CS, effects)

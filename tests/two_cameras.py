@@ -8,8 +8,6 @@ from edits import rows_of, write_rows
 
 from boresight.pipeline.files.text_tables import write_toml
 
-__all__ = ["two_cameras"]
-
 NAMES = ("left", "right")
 
 

@@ -4,8 +4,6 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-__all__ = ["OTHERWISE", "WRONG"]
-
 D, S, R, I, X, B, T, O = (  # noqa: E741
     *("dump.toml", "star_camera.toml", "remote_camera.toml", "installation.toml", "exposures.csv"),
     *("strips.csv", "targets.csv", "orbit.oem"),

@@ -9,8 +9,6 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-__all__ = ["R_TRUE", "SIGMA_C", "SIGMA_S", "Given", "drawn_vectors", "nees_of", "unit_vectors"]
-
 R_TRUE = Rotation.from_euler("xyz", [150.0, 12.0, -55.0], degrees=True)  # bold and lopsided
 SIGMA_S, SIGMA_C = 8e-6, 1.5e-6  # rad: 1.7 and 0.3 arcsec, the two cameras of a mission of metres
 N = 20

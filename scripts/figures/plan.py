@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 from style import IMAGES
 
-from boresight.features.planning.campaign_plan import Plan, forecast_plan, read_plan
+from boresight.features.planning.campaign_plan import Plan, PlannedSky, forecast_plan, read_plan
 from boresight.features.planning.figure import plot_forecast
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -25,7 +26,7 @@ def example() -> Plan:
 
 
 def main() -> None:
-    found = forecast_plan(example())
+    found = forecast_plan(replace(example(), sky=PlannedSky()))  # strips of the sky are not drawn
     figure = plot_forecast(found.table, None, found.by_targets, found.without)
     figure.savefig(IMAGES / "plan.png", dpi=110, bbox_inches="tight")
 

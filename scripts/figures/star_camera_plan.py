@@ -5,11 +5,11 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 from style import IMAGES
+
+from boresight.console import command_line
 
 PAGE = Path(__file__).parents[2] / "docs" / "notes" / "star-half.md"
 
@@ -18,7 +18,7 @@ def main() -> None:
     found = re.search(r"\$ boresight (star-camera-plan --size .*)", PAGE.read_text(encoding="utf-8"))
     assert found is not None
     plot = IMAGES / "star_camera_plan.png"
-    subprocess.run([sys.executable, "-m", "boresight", *found[1].split(), "--plot", plot], check=True)
+    command_line()([*found[1].split(), "--plot", str(plot)], standalone_mode=False)
 
 
 if __name__ == "__main__":

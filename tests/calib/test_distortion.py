@@ -38,14 +38,8 @@ def test_drawn_curves_have_the_correlation_that_the_prior_states():
     rng = np.random.default_rng(3)
     plan = StripPlan(sigma_distortion_rad=1.0, distortion_length_px=1000.0)
     knots = tuple((1, k) for k in range(5))  # every 500 px
-    drawn = np.array(
-        [
-            DistortionCurve.draw(plan, CAMERAS, rng).at(np.ones(5, dtype=np.int64), 500.0 * np.arange(5))[
-                :, 0
-            ]
-            for _ in range(4000)
-        ]
-    )
+    ccd, at = np.ones(5, dtype=np.int64), 500.0 * np.arange(5)
+    drawn = np.array([DistortionCurve.draw(plan, CAMERAS, rng).at(ccd, at)[:, 0] for _ in range(4000)])
     # 4 / sqrt(4000) and waves' own
     np.testing.assert_allclose(drawn.T @ drawn / 4000, correlation(knots), atol=0.09)
 

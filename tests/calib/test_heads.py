@@ -137,9 +137,7 @@ def test_covariance_holds_with_errors_of_heads_that_outlast_a_strip(slow: str, h
 
 
 @pytest.mark.parametrize(("strips", "largest_share"), [(3, 0.75), (14, 0.4)])
-def test_errors_that_come_back_are_recovered_as_far_as_strips_lie_around_the_orbit(
-    strips: int, largest_share: float
-) -> None:
+def test_errors_that_come_back_are_recovered_as_far_as_strips_lie_around_the_orbit(strips, largest_share):
     sizes, runs, squares, shares = np.array([6.0, 4.0, 12.0]) * ARCSEC, 10, 0.0, []
     for seed in range(runs):
         rng = np.random.default_rng(seed)
@@ -211,14 +209,14 @@ def test_second_head_makes_the_estimate_better_by_what_its_own_noise_allows() ->
 
 
 def test_head_that_moves_from_strip_to_strip_is_named() -> None:
-    named, seeds = 0, 10
+    named, seeds = 0, 5
     for seed in range(seeds):
         for n, name in enumerate(("A", "B")):
             wrong = (8.0, 0.0) if n == 0 else (0.0, 8.0)  # arcsec, per axis
             estimate = estimated(flown(1000 + seed, 2, wrong, 4, 0.2)).with_reference("A")
             found = {group for check in assess(estimate, []).refuted_by for group in check.names}
             named += found == {(name,)}
-    assert named >= 0.95 * 2 * seeds
+    assert named == 2 * seeds
 
 
 def test_heads_that_agree_are_not_suspected() -> None:
@@ -243,7 +241,7 @@ def three_heads(seed: int) -> list[StripSightings]:
 
 
 def test_three_heads_are_tied_by_the_one_that_carries_a_strip() -> None:
-    runs, nees = 60, 0.0
+    runs, nees = 40, 0.0  # 360 degrees of freedom: 0.77 to 1.26 of the expected sum
     chi2_all, dof_all, gain, dof_gain = 0.0, 0, 0.0, 0
     for seed in range(runs):
         estimate = estimated(three_heads(seed))

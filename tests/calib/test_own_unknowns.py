@@ -46,10 +46,8 @@ def both(
         X = np.concatenate([line.X_q, line.along(np.eye(line.n_common)), line.r[:, :, None]], axis=2)
         (S, _, width), n = X.shape, line.X_q.shape[2]
         of_heads = np.zeros((S, ties.shape[1], width))
-        of_heads[:, :, :n_phi], of_heads[:, :, n_phi - ties.shape[2] :] = (
-            ties[:, :, :n_phi],
-            ties[:, :, n_phi:],
-        )
+        of_heads[:, :, :n_phi] = ties[:, :, :n_phi]
+        of_heads[:, :, n_phi - ties.shape[2] :] = ties[:, :, n_phi:]
         prior = np.broadcast_to(np.eye(n, width), (S, n, width))
         rows.append((np.concatenate([X, prior, of_heads], axis=1), n))
     return problem, rows
@@ -100,17 +98,9 @@ def test_estimate_and_residuals_are_those_with_all_unknowns(heads: int) -> None:
 
 def test_points_a_hundred_times_as_sharp_as_the_attitudes_lose_no_digits() -> None:
     sharp = replace(SETTINGS, sigma_vibration_rad=0.0)
-    strips = [
-        replace(
-            strip,
-            ground=replace(
-                strip.ground,
-                cov_c=strip.ground.cov_c * 1e-4,
-                cov_target_i=np.zeros_like(strip.ground.cov_target_i),
-            ),
-        )
-        for strip in flown(6, 2)
-    ]
+    drawn = flown(6, 2)
+    sharper = [{"cov_c": s.ground.cov_c * 1e-4, "cov_target_i": 0.0 * s.ground.cov_target_i} for s in drawn]
+    strips = [replace(s, ground=replace(s.ground, **errors)) for s, errors in zip(drawn, sharper)]
     problem, groups = both(strips, sharp)
     found = solve_weighted(problem, linearised(problem, TURNED), problem.inside.astype(float)).pairs.F
     parts, by_normal_equations = [], []
@@ -118,9 +108,8 @@ def test_points_a_hundred_times_as_sharp_as_the_attitudes_lose_no_digits() -> No
         for one in rows:
             R, N = np.linalg.qr(one, mode="r")[n:, n:], one.T @ one
             parts.append((R.T @ R)[:-1, :-1])
-            by_normal_equations.append(
-                (N[n:, n:] - N[n:, :n] @ np.linalg.inv(N[:n, :n]) @ N[:n, n:])[:-1, :-1]
-            )
+            left = N[n:, n:] - N[n:, :n] @ np.linalg.inv(N[:n, :n]) @ N[:n, n:]
+            by_normal_equations.append(left[:-1, :-1])
     expected = np.array(parts)
     scale = np.sqrt(np.einsum("sii->si", expected))
     apart, by_all = (

@@ -11,11 +11,7 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.installation import theta_between
 from boresight.simulator.campaign import draw_strips
 
-CASES = {
-    "every error": {},
-    "gross errors": {"gross_stars": 0.2, "gross_targets": 0.2},
-    "few stars": {"stars": 5},
-}
+CASES = {"every error": {}, "gross": {"gross_stars": 0.2, "gross_targets": 0.2}, "few stars": {"stars": 5}}
 
 
 def test_no_matrix_is_moved():

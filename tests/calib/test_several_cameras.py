@@ -106,9 +106,8 @@ def test_a_sound_campaign_is_consistent_and_a_moved_ccd_is_named_with_its_camera
         u_c /= np.linalg.norm(u_c, axis=1, keepdims=True)
         moved.append(replace(strip, ground=replace(strip.ground, u_c=u_c)))
     finding = told(moved, estimated(moved)).findings[0]
-    assert finding.subjects[0] == Subject(
-        finding.subjects[0].kind, camera="oblique", ccd=finding.subjects[0].ccd
-    )
+    subject = finding.subjects[0]
+    assert subject == Subject(subject.kind, camera="oblique", ccd=subject.ccd)
     assert finding.cause == "place of a CCD, along the track"
 
 

@@ -84,9 +84,8 @@ def test_the_verdict_on_stars_is_consistent():
     strips = draw_sky_strips(replace(SKY, strips=4), CAMERAS, np.random.default_rng(8))
     estimate = calibrate_strips(strips, R_CS0, CalibrationSettings())
     assert not assess(estimate, strips).refuted_by
-    assert (
-        np.isnan(estimate.targets.detectable_m).all() and np.isfinite(estimate.targets.detectable_rad).all()
-    )
+    of = estimate.targets
+    assert np.isnan(of.detectable_m).all() and np.isfinite(of.detectable_rad).all()
 
 
 GROUND = replace(SKY, strips=12, targets=6, exposures=5, sigma_c_px=0.3, orbit_bias_m=(3.0, -4.0, 0.0))

@@ -54,15 +54,13 @@ def estimated(strips: list[StripSightings]) -> InstallationEstimate:
 @pytest.mark.parametrize("cut", [1, 3])
 def test_matrices_of_all_heads_move_as_stated_with_an_error_of_one_pass(cut: int) -> None:
     strips = flown()
-    whole, cuts = strips[1], np.arange(len(strips[1].ground.target_id)) % cut
+    whole, name, cuts = strips[1], strips[1].strip_id, np.arange(len(strips[1].ground.target_id)) % cut
+    targets = [np.flatnonzero(cuts == n) for n in range(cut)]
     parts = [
         replace(
-            whole,
-            strip_id=f"{whole.strip_id}/{n}",
-            ground=whole.ground.take(np.flatnonzero(cuts == n)),
-            R_oi_targets=whole.R_oi_targets[np.flatnonzero(cuts == n)],
+            whole, strip_id=f"{name}/{n}", ground=whole.ground.take(at), R_oi_targets=whole.R_oi_targets[at]
         )
-        for n in range(cut)
+        for n, at in enumerate(targets)
     ]
     others = [strips[0], *strips[2:]]
     before = estimated([*others, *parts])

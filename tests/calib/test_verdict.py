@@ -187,9 +187,8 @@ def test_one_target_listed_twice_is_found_where_its_two_matches_differ_by_rows()
     ground = strips[1].ground
     later = 3e-4  # s: four rows; the satellite moves 2 m
     place = ground.range_m[2] * ground.u_i[2] - later * ground.v_rel_i[2]
-    fields = {
-        f.name: getattr(ground, f.name).copy() for f in dataclasses.fields(ground) if f.name != "references"
-    }
+    names = {f.name for f in dataclasses.fields(ground)} - {"references"}
+    fields = {name: getattr(ground, name).copy() for name in names}
     fields["t_s"][3], fields["range_m"][3] = ground.t_s[2] + later, np.linalg.norm(place)
     fields["u_i"][3], fields["v_rel_i"][3] = place / np.linalg.norm(place), ground.v_rel_i[2]
     strips[1] = replace(strips[1], ground=type(ground)(**fields))

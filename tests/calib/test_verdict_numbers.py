@@ -25,9 +25,8 @@ ROOT_BIAS = np.array([[2.0, 0.0, 0.0], [1.5, 0.8, 0.0], [3e-5, -1e-5, 2e-5]])  #
 
 @cache
 def drawn() -> tuple[tuple[StripSightings, ...], InstallationEstimate]:
-    strips = tuple(
-        draw_strips(StripPlan(strips=3, exposures=8), CameraPair(BOLD), np.random.default_rng(4))[0]
-    )
+    plan = StripPlan(strips=3, exposures=8)
+    strips = tuple(draw_strips(plan, CameraPair(BOLD), np.random.default_rng(4))[0])
     estimate = calibrate_strips(strips, BOLD, CalibrationSettings())
     assert isinstance(estimate, InstallationEstimate)
     return strips, estimate

@@ -4,8 +4,6 @@ import re
 
 from journeys import ROOT
 
-__all__ = ["recipe"]
-
 STEP = re.compile(r"`([\w./]+\.(?:py|md))`[^`\n]*:\n\n {4}```\w+\n(.*?)\n {4}```\n", re.DOTALL)
 
 

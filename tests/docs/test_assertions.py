@@ -44,13 +44,7 @@ def little_said(source: str) -> list[str]:
 
 
 def test_tests_that_say_little_are_found():
-    little = (
-        "path.exists()",
-        "len(a) > 0",
-        "a is not None",
-        "path.stat().st_size > 9 and len(b) >= c",
-        "a.size",
-    )
+    little = ("p.exists()", "len(a) > 0", "a is not None", "p.stat().st_size > 9 and len(b) >= c", "a.size")
     much = ("len(a) == 3", "a is None", "not path.exists()", "a > 0", "path.exists() and a == 1", "f(a)")
     for text in little:
         assert little_said(f"def test_a():\n    assert {text}\n") == ["test_a"], text

@@ -73,12 +73,9 @@ def places(value: Any, at: str = "") -> dict[str, Any]:
 
 def biases(folder: Path) -> tuple[Any, Any]:
     cov = np.diag([0.5, 1.5, 2.5, 0.0003]) ** 2
-    bias = CommonBias(
-        names=("along", "across", "radial", "clock"),
-        value=np.array([1.25, -3.5, 7.75, -0.0125]),
-        covariance=cov,
-        stated=np.array([1.0, 2.0, 3.0, 4.0]),
-    )
+    names, stated = ("along", "across", "radial", "clock"), np.array([1.0, 2.0, 3.0, 4.0])
+    value = np.array([1.25, -3.5, 7.75, -0.0125])
+    bias = CommonBias(names=names, value=value, covariance=cov, stated=stated)
     return bias.texts(), [
         *("along +1.25 ± 0.5 m", "across -3.5 ± 1.5 m", "radial +7.75 ± 2.5 m"),
         "clock -12.5 ± 0.3 ms",
@@ -142,10 +139,8 @@ def lists_of_stars(folder: Path) -> tuple[Any, Any]:
     more |= {"psf_sigma_px": [1.25, 1.75]}
     stars = Of(xy_px=np.array([[1.5, 9.0], [33.0, 7.25]]), cov_px=cov, flux_dn=np.array([5e3, 700.0]), **more)
     right = {"x_px": [1.5, 33.0], "y_px": [9.0, 7.25], "sigma_x_px": [0.2, 0.4], "sigma_y_px": [0.3, 0.5]}
-    return array_stars._stars(stars, "stars"), right | {
-        "cov_xy_px2": [0.01, -0.02],
-        "flux_dn": [5e3, 700.0],
-    } | more
+    right |= {"cov_xy_px2": [0.01, -0.02], "flux_dn": [5e3, 700.0]} | more
+    return array_stars._stars(stars, "stars"), right
 
 
 def matches(folder: Path) -> tuple[Any, Any]:
@@ -186,12 +181,8 @@ def results_shown(folder: Path) -> tuple[Any, Any]:
     )
     match = Of(**vars(match), probability_wrong=2e-7, affine=np.zeros((2, 2)), found=np.zeros((48, 64)))
     spot = {"cause": "c", "item": "i", "unit": "m", "is_unseen": True, "hidden_sigma": 2.25}
-    pair = {
-        "cameras": ["nadir", "aft"],
-        "theta_rad": off,
-        "covariance_rad2": of_cov[3:, 3:],
-        "p_value": 0.375,
-    }
+    pair = {"cameras": ["nadir", "aft"], "p_value": 0.375}
+    pair |= {"theta_rad": off, "covariance_rad2": of_cov[3:, 3:]}
     both = missions.Calibration(
         R_cs=Rotation.concatenate([R_CS, R_CS.inv()]),
         theta=np.array([3.0, -1.0, 4.0, -1.5, 9.0, 2.6]) * ARCSEC,
@@ -358,9 +349,8 @@ def fields_of_view(folder: Path) -> tuple[Any, Any]:
         ends.append([[a, b] for a in x for b in y])
         right[frames.remote_camera_id - 1 - n] = in_order(ends[-1])
     every = np.concatenate(ends)
-    box = [
-        [a, b] for a in (every[:, 0].min(), every[:, 0].max()) for b in (every[:, 1].min(), every[:, 1].max())
-    ]
+    low, high = every.min(axis=0), every.max(axis=0)
+    box = [[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])]
     right[frames.remote_camera_id] = in_order(box)
     return made, right
 
@@ -544,12 +534,8 @@ def lopsided_verdict() -> tuple[Verdict, dict[str, Any], list[dict[str, Any]]]:
 
 def rotated(name: str, R: Rotation, theta: Any, covariance: Any) -> dict[str, Any]:
     q = R.as_quat()
-    return {
-        name: R.as_matrix(),
-        "quaternion": q * np.sign(q[3]),
-        "theta_rad": theta,
-        "covariance_rad2": covariance,
-    }
+    angles = {"theta_rad": theta, "covariance_rad2": covariance}
+    return {name: R.as_matrix(), "quaternion": q * np.sign(q[3])} | angles
 
 
 def installations(folder: Path) -> tuple[Any, Any]:

@@ -21,9 +21,8 @@ def texture(seed: int) -> tuple[NDArray, NDArray, NDArray, NDArray]:
 def seen(P: NDArray, seed: int, noise_level: float) -> Blocks:
     gx, gy, noise, weight = texture(seed)
     dx, dy = (P[k, 0] * X + P[k, 1] * Y + P[k, 2] for k in (0, 1))
-    return blocks_of(
-        gx, gy, (gx * dx + gy * dy + noise_level * noise).astype(np.float32), weight, MIDDLE, 1.0
-    )
+    shifted = (gx * dx + gy * dy + noise_level * noise).astype(np.float32)
+    return blocks_of(gx, gy, shifted, weight, MIDDLE, 1.0)
 
 
 def test_translation_is_that_of_all_pixels():

@@ -74,14 +74,10 @@ def test_stated_covariance_matches_the_scatter(invented_pairs: Pairs):
 
 
 @pytest.mark.parametrize("contrast", [0.2, 5.0])
-def test_place_and_covariance_do_not_depend_on_the_contrast_of_the_strip(
-    invented_pairs: Pairs, contrast: float
-):
+def test_place_and_covariance_do_not_depend_on_the_contrast_of_the_strip(invented_pairs, contrast):
     for pair in invented_pairs["clean", 64][:4]:
-        usual, other = (
-            placed(pair),
-            placed(replace(pair, window=contrast * pair.window.astype(np.float32) + 7.0)),
-        )
+        window = contrast * pair.window.astype(np.float32) + 7.0
+        usual, other = placed(pair), placed(replace(pair, window=window))
         np.testing.assert_allclose(other.xy_px, usual.xy_px, rtol=0, atol=2e-4)  # px; a tenth of its sigma
         np.testing.assert_allclose(other.cov_px, usual.cov_px, rtol=0, atol=0.02 * np.trace(usual.cov_px))
 

@@ -92,20 +92,12 @@ def test_target_in_the_overlap_is_placed_in_both_ccds(case: Case):
     chip = next(c for c in case.chips if c.target_id == shown.target_id)
     inside = [ccd for ccd in (0, 1) if 8.0 < case.true.pixels_from_ground(ccd, shown.p_e[None])[0][0] < 411.0]
     settings = MatchSettings(smallest_template_px=16)
-    outcome = matched(
-        case,
-        pushbroom=case.true,
-        targets=[shown],
-        chips=[chip],
-        settings=settings,
-        sigma_installation_rad=SURE,
-    )
+    alone = {"targets": [shown], "chips": [chip], "settings": settings}
+    outcome = matched(case, pushbroom=case.true, **alone, sigma_installation_rad=SURE)
     assert sorted(m.ccd for m in outcome.matches) == inside
 
 
-def test_targets_compared_in_groups_are_those_that_agree_together(
-    case: Case, outcome: StripMatches, monkeypatch: pytest.MonkeyPatch
-):
+def test_targets_compared_in_groups_are_those_that_agree_together(case, outcome, monkeypatch):
     """Of very many, those that follow one another in time are compared: time and memory grow with them."""
     monkeypatch.setattr(consistency, "_MOST_TOGETHER", 5)
     matches = list(outcome.matches)
@@ -272,9 +264,8 @@ def test_template_map_between_nodes_is_that_of_the_model(case: Case):
     xy = np.column_stack(case.true.pixels_from_ground(0, target.p_e[None]))[0]
     origin = (int(xy[0]) - 40, int(xy[1]) - 40)
     whole = predict_template(chip, case.true, 0, origin, (81, 81), SURFACE, MatchSettings())
-    part = predict_template(
-        chip, case.true, 0, (origin[0] + 20, origin[1] + 17), (5, 5), SURFACE, MatchSettings()
-    )
+    corner = (origin[0] + 20, origin[1] + 17)
+    part = predict_template(chip, case.true, 0, corner, (5, 5), SURFACE, MatchSettings())
     gradient = np.abs(np.diff(whole.image)).max()
     assert np.abs(whole.image[17:22, 20:25] - part.image).max() < 0.01 * gradient  # 0.01 px of misplacement
 

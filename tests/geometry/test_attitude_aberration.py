@@ -35,18 +35,12 @@ def test_attitude_is_the_one_that_apparent_directions_give(removed: str, k: int,
     u_s /= np.linalg.norm(u_s, axis=1, keepdims=True)
     apparent = ATTITUDES[k].inv().apply(u_s)
     catalogue = seen_by(apparent, -(earth + VELOCITIES_I[k]))  # of velocities below 1e-4 c: to 1e-8
-    of_the_head = {"none": catalogue, "annual": seen_by(catalogue, earth), "annual and orbital": apparent}[
-        removed
-    ]
+    seen = {"none": catalogue, "annual": seen_by(catalogue, earth), "annual and orbital": apparent}
+    of_the_head = seen[removed]
     reported, _ = Rotation.align_vectors(u_s, of_the_head)
-    got = with_all_aberration(
-        Rotation.concatenate([R_hs * reported]),
-        removed,
-        EPOCH,
-        TIMES_S[k : k + 1],
-        VELOCITIES_I[k : k + 1],
-        line_of_sight_s=R_hs.apply([0.0, 0.0, 1.0]),
-    )[0]
+    R_hi, look, one = Rotation.concatenate([R_hs * reported]), R_hs.apply([0.0, 0.0, 1.0]), slice(k, k + 1)
+    motion = (EPOCH, TIMES_S[one], VELOCITIES_I[one])
+    got = with_all_aberration(R_hi, removed, *motion, line_of_sight_s=look)[0]
     across = (R_hs.inv() * got * ATTITUDES[k].inv()).as_rotvec()[:2]
     # 20 and 5 arc-seconds are put right; 1e-4 of the velocity squared and of the field are left
     assert np.abs(across).max() < 0.005 * ARCSEC

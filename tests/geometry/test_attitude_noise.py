@@ -31,9 +31,8 @@ def test_white_part_has_the_stated_error_about_each_axis_of_the_head(name: str) 
     noise = HEADS[name]
     for axis in range(3):
         of_the_head = noise.R_sn.apply(np.eye(3)[axis])  # in frame s
-        assert of_the_head @ noise.white_covariance_s @ of_the_head == pytest.approx(
-            noise.white_rad[axis] ** 2
-        )
+        variance = of_the_head @ noise.white_covariance_s @ of_the_head
+        assert variance == pytest.approx(noise.white_rad[axis] ** 2)
 
 
 @pytest.mark.parametrize("span_s", [0.05, 0.7, 9.0, 60.0])

@@ -36,16 +36,14 @@ TIMES = (np.arange(7) * 0.2, np.arange(6) * 0.25 + 0.04)
 WANTED = np.array([0.05, 0.06, 0.11, 0.5, 0.93, 1.2, -0.1])  # s, two of them between the same rows
 
 
+def head_rows(t: Floats, R_so: Rotation, noise: AttitudeNoise) -> HeadRows:
+    covariance_s = np.tile(noise.white_covariance_s, (len(t), 1, 1))
+    return HeadRows(t_s=t, R_so=R_so, covariance_s=covariance_s, noise=noise)
+
+
 def heads(turns: list[Floats]) -> list[HeadRows]:
-    return [
-        HeadRows(
-            t_s=t,
-            R_so=Rotation.from_rotvec(y) * MIDDLE,
-            covariance_s=np.tile(noise.white_covariance_s, (len(t), 1, 1)),
-            noise=noise,
-        )
-        for t, y, noise in zip(TIMES, turns, NOISES)
-    ]
+    turned = [Rotation.from_rotvec(y) * MIDDLE for y in turns]
+    return [head_rows(t, R_so, noise) for t, R_so, noise in zip(TIMES, turned, NOISES)]
 
 
 def motion_covariance(t: Floats, u: Floats) -> Floats:
@@ -88,9 +86,8 @@ def test_smoothed_attitudes_are_those_of_the_full_matrices() -> None:
     # rows of two heads 0.01 and 0.04 s apart share a node, where a correlated error has 0.7 s or more
     np.testing.assert_allclose(off.ravel() / sigma, 0.0, atol=0.02)
     root = found.root_s(WANTED).reshape(len(sigma), -1)
-    np.testing.assert_allclose(
-        root @ root.T / np.outer(sigma, sigma), covariance / np.outer(sigma, sigma), atol=0.02
-    )
+    scale = np.outer(sigma, sigma)
+    np.testing.assert_allclose(root @ root.T / scale, covariance / scale, atol=0.02)
     own = np.einsum("jaja->ja", covariance.reshape(len(WANTED), 3, len(WANTED), 3))
     np.testing.assert_allclose(np.einsum("jaa->ja", found.covariance_s(WANTED)), own, rtol=0.02)
 
@@ -119,12 +116,7 @@ def test_stated_covariance_holds_for_a_motion_whose_size_the_rows_show() -> None
         true, true_middle = (
             size * ARCSEC * np.sin(2.0 * np.pi * at[:, None] / period + phase) for at in (t, middle)
         )
-        rows = HeadRows(
-            t_s=t,
-            R_so=Rotation.from_rotvec(true + noise_of(rng, noise, t)),
-            covariance_s=np.tile(noise.white_covariance_s, (len(t), 1, 1)),
-            noise=noise,
-        )
+        rows = head_rows(t, Rotation.from_rotvec(true + noise_of(rng, noise, t)), noise)
         found = SmoothedAttitude.of([rows], most_likely_motion([[rows]]))
         off = (found.R_so(middle) * Rotation.from_rotvec(true_middle).inv()).as_rotvec()[0]
         nees += off @ np.linalg.solve(found.covariance_s(middle)[0], off)
@@ -136,12 +128,7 @@ def test_time_grows_no_faster_than_the_rows() -> None:
     def seconds(count: int) -> float:
         t = 0.1 * np.arange(count)
         y = 5.0 * ARCSEC * np.sin(t)[:, None] + np.random.default_rng(4).normal(0.0, ARCSEC, (count, 3))
-        rows = HeadRows(
-            t_s=t,
-            R_so=Rotation.from_rotvec(y),
-            covariance_s=np.tile(NOISES[0].white_covariance_s, (count, 1, 1)),
-            noise=NOISES[0],
-        )
+        rows = head_rows(t, Rotation.from_rotvec(y), NOISES[0])
         before = process_time()
         SmoothedAttitude.of([rows], Q).root_s(np.linspace(10.0, 0.1 * count - 10.0, 20))
         return process_time() - before

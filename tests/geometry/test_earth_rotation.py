@@ -46,9 +46,8 @@ def direct_matrix_ie(mjd_utc):
     """R_ie by ERFA at one instant, with the bundled table read by a spline (through UT1 - TAI)."""
     tai_utc = tai_minus_utc_s(TABLE.mjd_utc)
     near = np.abs(TABLE.mjd_utc - mjd_utc) < 15
-    values = np.column_stack(
-        [TABLE.ut1_utc_s - tai_utc, TABLE.xp_rad, TABLE.yp_rad, TABLE.dx_rad, TABLE.dy_rad]
-    )
+    pole = [TABLE.xp_rad, TABLE.yp_rad, TABLE.dx_rad, TABLE.dy_rad]
+    values = np.column_stack([TABLE.ut1_utc_s - tai_utc, *pole])
     # days of UTC placed on TAI, so that a leap second within them does not shift the later ones
     tai = mjd_utc + float(tai_minus_utc_s(mjd_utc)) / 86_400.0
     spline = CubicSpline(TABLE.mjd_utc[near] + tai_utc[near] / 86_400.0, values[near])

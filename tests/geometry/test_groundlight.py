@@ -185,9 +185,8 @@ def displacement_by_quadrature(atmosphere, zenith_rad, height_m):
         r = radius + h
         n = 1.0 + refractivity(h)
         straight, curved = np.sqrt(r * r - impact**2), np.sqrt(n * n * r * r - impact**2)
-        return (
-            impact / r * (curved * curved - straight * straight) / (straight * curved * (straight + curved))
-        )
+        both = straight * curved * (straight + curved)
+        return impact / r * (curved * curved - straight * straight) / both
 
     edges = np.concatenate([[height_m], np.arange(500.0 * np.ceil(height_m / 500.0 + 0.01), 80_001.0, 500.0)])
     pieces = [quad(difference, a, b, epsabs=1e-14, limit=200)[0] for a, b in pairwise(edges)]
@@ -298,7 +297,6 @@ def test_ground_and_sky_share_one_observer():
     u_i, _ = apparent_ground_directions(nadir, t_s, ORBIT, EARTH, LightEffects())
     still, _ = apparent_ground_directions(nadir, t_s, ORBIT, EARTH, LightEffects(aberration=False))
     v = ORBIT.velocities_i(t_s)[0]
-    assert (u_i - still)[0] @ v / np.linalg.norm(v) == pytest.approx(
-        np.linalg.norm(v) / SPEED_OF_LIGHT, rel=1e-3
-    )
+    speed = np.linalg.norm(v)
+    assert (u_i - still)[0] @ v / speed == pytest.approx(speed / SPEED_OF_LIGHT, rel=1e-3)
     assert ecef_from_geodetic(0.0, 0.0, 0.0, WGS84)[0] == WGS84.semi_major_m

@@ -37,9 +37,8 @@ def test_a_gyro_between_attitudes_is_as_in_full_matrices() -> None:
         covariance_s=np.tile(SIGMA**2 * np.eye(3), (3, 1, 1)),
         noise=NO_NOISE,
     )
-    gyro = GyroRows(
-        t_s=STEPS, R_sz=Rotation.from_rotvec(summed), R_oi=Rotation.identity(len(STEPS)), noise=NOISE
-    )
+    turned = Rotation.from_rotvec(summed)
+    gyro = GyroRows(t_s=STEPS, R_sz=turned, R_oi=Rotation.identity(len(STEPS)), noise=NOISE)
     found = SmoothedAttitude.of([head], np.full(3, Q), gyro)
     free = (1e3 * SIGMA) ** 2
 
@@ -74,9 +73,8 @@ def test_a_gyro_between_attitudes_is_as_in_full_matrices() -> None:
 
 def test_the_path_is_that_of_the_attitude_while_the_nominal_frame_turns() -> None:
     t = np.linspace(0.0, 40.0, 201)
-    R_oi = Rotation.from_rotvec(np.outer(t, [2e-4, -1.1e-3, 3e-4])) * Rotation.random(
-        rng=np.random.default_rng(1)
-    )
+    start = Rotation.random(rng=np.random.default_rng(1))
+    R_oi = Rotation.from_rotvec(np.outer(t, [2e-4, -1.1e-3, 3e-4])) * start
     middle = Rotation.from_euler("xyz", [30, -20, 60], degrees=True)
     turns = np.stack([1e-3 * np.sin(t / 7.0), 5e-4 * np.cos(t / 3.0), 1e-5 * t], axis=1)
     R_si = Rotation.from_rotvec(turns) * middle * R_oi

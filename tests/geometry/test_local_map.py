@@ -46,7 +46,6 @@ def test_a_map_of_third_degree_is_found_with_all_of_its_coefficients():
         return tuple(np.polynomial.polynomial.polyval2d(x, y, each) for each in given)
 
     found = fit_local_map(cubic, (0.1, 0.5), (-1.15, -1.05), 1e-9)
-    assert found is not None
     assert found.coefficients.shape == given.shape
     np.testing.assert_allclose(found.coefficients, given, rtol=0, atol=1e-10)
 

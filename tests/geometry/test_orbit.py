@@ -50,9 +50,7 @@ BETWEEN = np.random.default_rng(5).uniform(0.0, 60.0, 2000)
 
 
 @pytest.mark.parametrize("frame", ["GCRF", "ITRF"])
-@pytest.mark.parametrize(
-    ("method", "degree"), [("lagrange", 7), ("lagrange", 8), ("hermite", 7), ("hermite", 3)]
-)
+@pytest.mark.parametrize("method, degree", [("lagrange", 7), ("lagrange", 8), ("hermite", 7), ("hermite", 3)])
 def test_states_at_1_hz_are_those_of_the_true_orbit(frame, method, degree):
     # 1e-7 m: rounding is 1e-9 m a term; Hermite of degree 3 misses r n^4 / 384 = 3e-8 m. Velocity: 8 r n^5 /
     # ...

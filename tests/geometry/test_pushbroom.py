@@ -178,9 +178,8 @@ def test_what_is_never_seen_has_no_pixel():
     model = strip()
     ground = model.ground_points(0, np.array([100.0, 3000.0]), np.array([50.0, 9000.0]), ConstantHeight(0.0))
     behind_the_earth = -ground[:1]
-    far_ahead = EARTH.rotations_ie(np.array([30.0])).inv().apply(states(np.array([30.0]))[0]) * (
-        6.371 / 6.908
-    )
+    later = np.array([30.0])
+    far_ahead = EARTH.rotations_ie(later).inv().apply(states(later)[0]) * (6.371 / 6.908)
     unknown = np.full((1, 3), np.nan)
     sample, line = model.pixels_from_ground(0, np.vstack([behind_the_earth, ground, far_ahead, unknown]))
     assert np.isnan(sample[[0, 3, 4]]).all() and np.isnan(line[[0, 3, 4]]).all()

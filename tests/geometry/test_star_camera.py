@@ -41,9 +41,8 @@ WAVY = replace(
 
 def detector_points(camera, number=20_000, seed=1):
     rng = np.random.default_rng(seed)
-    corners = np.array(
-        [[x, y] for x in (-0.5, camera.width_px - 0.5) for y in (-0.5, camera.height_px - 0.5)]
-    )
+    columns, rows = (-0.5, camera.width_px - 0.5), (-0.5, camera.height_px - 0.5)
+    corners = np.array([[x, y] for x in columns for y in rows])
     inside = rng.uniform(-0.5, [camera.width_px - 0.5, camera.height_px - 0.5], (number, 2))
     return np.vstack([corners, [camera.principal_px], inside])
 

@@ -137,12 +137,7 @@ def test_places_agree_with_erfa_atciq_to_a_milliarcsecond():
 def test_sofa_test_value_of_atci13():
     # SOFA's t_sofa_c, t_atci13: 2456165.5 + 0.401182685 TDB, geocentre; with the matrix that it applies last
     # undone.
-    motion = {
-        "pm_ra_rad_yr": 1e-5,
-        "pm_dec_rad_yr": 5e-6,
-        "parallax_arcsec": 0.1,
-        "radial_velocity_km_s": 55.0,
-    }
+    motion = dict(pm_ra_rad_yr=1e-5, pm_dec_rad_yr=5e-6, parallax_arcsec=0.1, radial_velocity_km_s=55.0)
     one = {name: np.array([value]) for name, value in motion.items()}
     star = still_stars(np.array([2.71]), np.array([0.174]), **one)
     tt = 2456165.5, 0.401182685

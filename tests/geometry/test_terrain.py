@@ -50,9 +50,8 @@ def rays_at(lat_rad, lon_rad, height_m, zenith_rad, azimuth_rad, distance_m=600e
     """Rays that come down through places, at zenith distances, from an azimuth."""
     p_e = ecef_from_geodetic(lat_rad, lon_rad, height_m, WGS84)
     sine, cosine = np.sin(zenith_rad), np.cos(zenith_rad)
-    local = np.stack(
-        np.broadcast_arrays(sine * np.sin(azimuth_rad), sine * np.cos(azimuth_rad), -cosine), axis=-1
-    )
+    level = sine * np.sin(azimuth_rad), sine * np.cos(azimuth_rad)
+    local = np.stack(np.broadcast_arrays(*level, -cosine), axis=-1)
     direction = np.einsum("nij,nj->ni", local_axes_e(lat_rad, lon_rad), np.broadcast_to(local, p_e.shape))
     return p_e - distance_m * direction, direction
 
@@ -266,9 +265,8 @@ def test_a_geoid_that_does_not_reach_is_an_error_not_a_zero():
 def test_a_grid_may_be_turned_or_written_in_another_turn_of_longitude():
     heights = fractal(60, 100.0)
     straight = degrees_grid(heights)
-    turned = TerrainGrid.from_raster(
-        heights.T, (0.0, CELL_DEG, 374.0, -CELL_DEG, 0.0, 50.0), "EPSG:4326", None
-    )
+    transform = (0.0, CELL_DEG, 374.0, -CELL_DEG, 0.0, 50.0)
+    turned = TerrainGrid.from_raster(heights.T, transform, "EPSG:4326", None)
     rng = np.random.default_rng(9)
     lat, lon = (
         np.radians(50.0 - rng.uniform(5, 55, 50) * CELL_DEG),
@@ -279,9 +277,7 @@ def test_a_grid_may_be_turned_or_written_in_another_turn_of_longitude():
 
 def test_bilinear_reaches_to_the_last_pixel_and_no_farther():
     heights = np.array([[0.0, 1.0], [2.0, 5.0]], np.float32)
-    at = np.array(
-        [[0.0, 0.0], [1.0, 1.0], [0.5, 0.5], [1.0, 0.25], [1.0001, 0.5], [-0.0001, 0.0], [np.nan, 0.0]]
-    )
+    at = np.array([[0, 0], [1, 1], [0.5, 0.5], [1, 0.25], [1.0001, 0.5], [-0.0001, 0.0], [np.nan, 0.0]])
     got = bilinear(heights, at[:, 0], at[:, 1])
     np.testing.assert_array_equal(got[:4], [0.0, 5.0, 2.0, 2.0])
     assert np.isnan(got[4:]).all()

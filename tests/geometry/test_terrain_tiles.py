@@ -42,10 +42,8 @@ def rays(seed: int, count: int = 3000) -> tuple[np.ndarray, np.ndarray]:
 
 
 def same(one: Raster, other: Raster) -> bool:
-    return np.array_equal(one.heights_m, other.heights_m) and (one.transform, one.crs) == (
-        other.transform,
-        other.crs,
-    )
+    alike = (one.transform, one.crs) == (other.transform, other.crs)
+    return alike and np.array_equal(one.heights_m, other.heights_m)
 
 
 @pytest.mark.parametrize("order", [(0, 1, 2, 3), (3, 1, 0, 2)])
@@ -121,10 +119,8 @@ def test_finer_grid_counts_where_it_is_and_the_coarse_one_around_it():
     wall = above[~on_fine & ~on_coarse]  # rays that meet the fine grid's edge from the side
     assert np.all((wall > 0.0) & (wall < 40.0))
     low, high = tiles.height_range_m()
-    assert (low, high) == (
-        coarse.height_range_m()[0],
-        max(fine.height_range_m()[1], coarse.height_range_m()[1]),
-    )
+    highest = max(fine.height_range_m()[1], coarse.height_range_m()[1])
+    assert (low, high) == (coarse.height_range_m()[0], highest)
 
 
 def test_turned_tiles_become_one_raster_with_every_pixel_at_its_place():

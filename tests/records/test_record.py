@@ -102,13 +102,8 @@ def test_an_inner_attribute_is_that_of_the_record_held_and_help_shows_its_meanin
 
 def test_declared_shape_can_be_read_back() -> None:
     by_name = {f.name: shape_of(f) for f in dataclasses.fields(Points)}
-    assert by_name == {
-        "xy_px": ("N", 2),
-        "cov_px": ("N", 2, 2),
-        "edges": ("N+1",),
-        "R_ab": ("N",),
-        "limit": None,
-    }
+    shapes = {"xy_px": ("N", 2), "cov_px": ("N", 2, 2), "edges": ("N+1",), "R_ab": ("N",), "limit": None}
+    assert by_name == shapes
 
 
 def test_misspelt_shape_is_refused_where_it_is_declared() -> None:

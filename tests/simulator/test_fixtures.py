@@ -58,9 +58,8 @@ def test_cameras_matrix_and_stated_errors_are_those_of_the_files(both):
     assert (mission.truth.R_cs * Rotation.from_quat(true["quaternion_cs"]).inv()).magnitude() < 1e-12
     for ccd in range(dump.line_camera.n_ccds):
         sample = np.linspace(0.0, dump.line_camera.n_px(ccd) - 1.0, 7)
-        ours, theirs = (
-            one.directions_from_pixels(ccd, sample) for one in (mission.line_camera, dump.line_camera)
-        )
+        cameras = mission.line_camera, dump.line_camera
+        ours, theirs = (one.directions_from_pixels(ccd, sample) for one in cameras)
         assert np.allclose(ours, theirs, atol=1e-11)  # rad
     xy = np.array([[10.0, 300.0], [400.0, 20.0], [500.5, 380.25]])
     ours, theirs = (one.directions_from_pixels(xy) for one in (mission.star_camera, dump.star_camera))

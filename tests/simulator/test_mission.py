@@ -30,13 +30,8 @@ def values_in(record, seen=()):
 
 
 def test_the_seed_alone_decides_the_mission(stars, tables):
-    tiny = scenario_from_dict(
-        {
-            "based_on": "mini",
-            "strips": {"count": 1, "lines": 80},
-            "targets": {"per_strip": 1, "check_points_per_strip": 1, "chip_size_px": 40},
-        }
-    )
+    few = {"per_strip": 1, "check_points_per_strip": 1, "chip_size_px": 40}
+    tiny = scenario_from_dict({"based_on": "mini", "strips": {"count": 1, "lines": 80}, "targets": few})
     one, same, other = (render_mission(tiny, stars, *tables, seed=seed) for seed in (11, 11, 12))
     for a, b in ((one, same), (one, other)):
         alike = [
@@ -154,9 +149,8 @@ def test_vibration_has_the_size_that_was_asked_for(mission):
 
 def test_targets_and_check_points_are_seen_by_some_ccd(mission):
     ids = {point.point_id for point in mission.truth.targets}
-    assert (
-        ids == {target.target_id for target in mission.targets} == {chip.target_id for chip in mission.chips}
-    )
+    chips = {chip.target_id for chip in mission.chips}
+    assert ids == {target.target_id for target in mission.targets} == chips
     assert len(ids) == 8
     for point in (*mission.truth.targets, *mission.truth.check_points):
         assert -0.5 <= point.sample <= 511.5

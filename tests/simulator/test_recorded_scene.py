@@ -41,20 +41,13 @@ def test_reflectance_is_the_recorded_one():
 
 
 def test_star_image_with_all_its_faults_is_the_recorded_one():
-    sky = replace(
-        SkySettings(),
-        background_gradient_dn=(9.0, -5.0),
-        background_bow_dn=7.0,
-        hot_pixels=30,
-        cosmic_rays=40.0,
-        psf_sigma_corner_px=2.2,
-    )
+    uneven = {"background_gradient_dn": (9.0, -5.0), "background_bow_dn": 7.0, "psf_sigma_corner_px": 2.2}
+    sky = replace(SkySettings(), **uneven, hot_pixels=30, cosmic_rays=40.0)
     rng = np.random.default_rng(3)
     start = rng.uniform(-4.0, (164.0, 124.0), (60, 2))  # some beyond the edges
     paths = start[:, None] + np.linspace(0.0, 3.0, 5)[None, :, None] * rng.normal(size=(60, 1, 2))
-    image = expose(
-        paths, rng.uniform(500.0, 90_000.0, 60), (160, 120), sky, hot_pixels(160, 120, sky, rng), rng
-    )
+    charge_e = rng.uniform(500.0, 90_000.0, 60)
+    image = expose(paths, charge_e, (160, 120), sky, hot_pixels(160, 120, sky, rng), rng)
     found = {"image": image, "first rows": image[:9], "last columns": image[:, -9:]}
     assert_recorded("star_image", found)
 
@@ -62,9 +55,8 @@ def test_star_image_with_all_its_faults_is_the_recorded_one():
 def test_line_camera_as_it_is_is_the_recorded_one():
     scenario = mini_scenario()
     errors = replace(scenario.errors, ccd_shift_px=0.3, ccd_slope_px=0.2, ccd_bend_px=0.4)
-    camera = distorted_line_camera(
-        calibrated_line_camera(scenario.line_camera), errors, np.random.default_rng(4)
-    )
+    plain = calibrated_line_camera(scenario.line_camera)
+    camera = distorted_line_camera(plain, errors, np.random.default_rng(4))
     found = {}
     for n, ccd in enumerate(camera.ccds):
         found |= {f"along {n}": ccd.distortion_offsets_m, f"across {n}": ccd.across_offsets_m}

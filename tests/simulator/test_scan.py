@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 from pyproj import Transformer
+from strips import pushbroom
 
 from boresight.geometry.attitude import interpolation_weights
 from boresight.geometry.constants import WGS84
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.geodesy import geodetic_from_ecef
-from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import gaussian_sigma_px
-from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.pushbroom import RowClock
 from boresight.geometry.terrain import ConstantHeight, TerrainGrid
 from boresight.simulator.cameras import (
     calibrated_line_camera,
@@ -92,15 +92,7 @@ def model(tables):
     attitude = true_attitude(SCENARIO.attitude, SCENARIO.errors, R_cs, orbit, earth, rng)
     camera = distorted_line_camera(calibrated_line_camera(SCENARIO.line_camera), SCENARIO.errors, rng)
     rows = RowClock(2.0, SCENARIO.strips.row_period_s)
-    return Pushbroom(
-        camera=camera,
-        rows=rows,
-        orbit=orbit,
-        earth=earth,
-        attitude=attitude.during(1.0, 5.0),
-        R_cs=R_cs,
-        effects=LightEffects(),
-    )
+    return pushbroom(camera, rows, orbit, attitude.during(1.0, 5.0), R_cs)
 
 
 @pytest.fixture(scope="module")
@@ -119,9 +111,8 @@ def surface(model, tables):
 
 def rendered(model, surface, ground, ccd, sigma_texel=2.2, wanted=None):
     step = needed_sample_step(model, surface, LINES)
-    scene = TrueScene(
-        model.tabulated(-10.0, LINES + 10.0), surface, EPSG, BlurredGround(ground, sigma_texel), step
-    )
+    blurred = BlurredGround(ground, sigma_texel)
+    scene = TrueScene(model.tabulated(-10.0, LINES + 10.0), surface, EPSG, blurred, step)
     gain = np.ones(SCENARIO.line_camera.samples, np.float32)
     wanted = all_panels(LINES, len(gain)) if wanted is None else wanted
     rng = np.random.default_rng(3)
@@ -267,10 +258,8 @@ def test_ccds_overlap_by_what_was_asked_for():
         first_of_right = right.focal_plane(np.array([0.0]))[0, 1]
         sample, _ = left.samples(np.array([[left.x_offset_m, first_of_right]]))
         assert settings.samples - sample[0] == pytest.approx(settings.overlap_px, abs=0.05)  # rotated: µrad
-    ends = [
-        camera.ccds[0].focal_plane(np.array([0.0]))[0, 1],
-        camera.ccds[-1].focal_plane(np.array([511.0]))[0, 1],
-    ]
+    first, last = camera.ccds[0], camera.ccds[-1]
+    ends = [first.focal_plane(np.array([0.0]))[0, 1], last.focal_plane(np.array([511.0]))[0, 1]]
     assert sum(ends) == pytest.approx(0.0, abs=1e-5)  # m
 
 

@@ -67,10 +67,6 @@ def test_the_full_size_scenario_is_that_of_the_papers_tables():
     assert (line.focal_m, line.pixel_um, line.samples, line.ccds) == (10.0, 10.0, 6144, 4)
     assert scenario.strips.lines == 26000
     assert scenario.orbit.altitude_km == 530.0
-    assert (errors.gps_m, errors.vibration_arcsec, errors.clock_s, errors.distortion_px) == (
-        2.0,
-        0.1,
-        1e-4,
-        0.3,
-    )
+    stated = errors.gps_m, errors.vibration_arcsec, errors.clock_s, errors.distortion_px
+    assert stated == (2.0, 0.1, 1e-4, 0.3)
     assert scenario.installation.theta_rad == (0.003, 0.002, 0.001)  # errata: matrix (28), not the sentence

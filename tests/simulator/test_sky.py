@@ -53,9 +53,8 @@ def test_stars_stand_where_they_were_put():
 
 def test_psf_is_integrated_over_pixels():
     noiseless = replace(DARK, e_per_dn=1e3)  # photon noise of 6e7 e is 1e-4 of the peak
-    image = expose(
-        still([[15.0, 15.0]]), np.array([6e7]), (31, 31), noiseless, NO_HOT, np.random.default_rng(3)
-    )
+    rng = np.random.default_rng(3)
+    image = expose(still([[15.0, 15.0]]), np.array([6e7]), (31, 31), noiseless, NO_HOT, rng)
     columns = np.arange(31.0)
     variance = (image * (columns - 15.0) ** 2).sum() / image.sum()
     assert variance == pytest.approx(1.25**2 + 1.0 / 12.0, rel=0.01)  # Sheppard: a pixel adds 1/12
@@ -128,15 +127,8 @@ def test_the_same_stream_of_chance_gives_the_same_image():
 
 def test_a_star_near_or_beyond_an_edge_leaves_the_light_that_falls_on_the_detector():
     noiseless = replace(DARK, e_per_dn=1e3)  # photon noise of 6e7 e is 1e-4 of a star
-    for x, y in (
-        (1.5, 20.0),
-        (-2.0, 20.0),
-        (39.0, 20.0),
-        (41.5, 20.0),
-        (20.0, 1.0),
-        (20.0, 30.5),
-        (-1.0, -1.0),
-    ):
+    edges = ((1.5, 20.0), (-2.0, 20.0), (39.0, 20.0), (41.5, 20.0), (20.0, 1.0), (20.0, 30.5), (-1.0, -1.0))
+    for x, y in edges:
         rng = np.random.default_rng(3)
         image = expose(still([[x, y]]), np.array([6e7]), (40, 30), noiseless, NO_HOT, rng).astype(float)
         inside = [ndtr((n - 0.5 - at) / 1.25) - ndtr((-0.5 - at) / 1.25) for n, at in ((40, x), (30, y))]

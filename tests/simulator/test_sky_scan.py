@@ -103,13 +103,8 @@ def test_true_places_differ_from_the_catalogue_by_its_error_in_right_ascension_a
     places = still_stars(*place.T, epoch_jyear=1991.25)
     sigma, sigma_pm = np.array([0.02, 0.7]) * ARCSEC, np.array([0.003, 0.001]) * ARCSEC  # every other star
     each = np.arange(n) % 2
-    survey = SurveyedStars(
-        name="HIP",
-        places=places,
-        sigma_rad=sigma[each],
-        sigma_pm_rad_yr=sigma_pm[each],
-        single=np.ones(n, dtype=bool),
-    )
+    errors = {"sigma_rad": sigma[each], "sigma_pm_rad_yr": sigma_pm[each]}
+    survey = SurveyedStars(name="HIP", places=places, **errors, single=np.ones(n, dtype=bool))
     R_oi = Rotation.from_euler("ZY", [middle_rad[0], np.pi / 2.0 - middle_rad[1]]).inv()
     orbit = SimpleNamespace(
         epoch=Epoch.from_utc("2024-01-01T12:00:00Z"),

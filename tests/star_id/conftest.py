@@ -2,11 +2,13 @@
 
 import pickle
 
+import numpy as np
 import pytest
 from frames import PLACES
 from known_frames import index_of_all_fields, real
 
 from boresight.star_id.field import solve_field
+from boresight.star_id.identification.triangle_index import build_index
 from boresight.star_id.settings import StarSettings
 
 
@@ -19,6 +21,12 @@ def index_of(made_once):
         return pickle.loads((made_once(f"wide-index-{year}", fill) / "index").read_bytes())
 
     return of
+
+
+@pytest.fixture(scope="module")
+def index():
+    """Of fields of 15 to 24 degrees, at the epoch of the places."""
+    return build_index(PLACES, PLACES.epoch_jyear, (np.radians(15.0), np.radians(24.0)))
 
 
 @pytest.fixture(scope="session")

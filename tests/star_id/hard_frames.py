@@ -22,17 +22,6 @@ from scipy.ndimage import map_coordinates, spline_filter, uniform_filter1d
 from scipy.signal import fftconvolve
 from scipy.stats import norm
 
-__all__ = [
-    "Blur",
-    "Sensor",
-    "Stars",
-    "bound_after_jpeg_px",
-    "cramer_rao_px",
-    "psf_table",
-    "render",
-    "response",
-]
-
 FINE = 8  # points a pixel
 HALF = 24  # px from the middle of a star to the edge of its table
 HALVES = (8, 12, 16)  # from the middle of a star to the edge of its image, where what is left out is
@@ -329,11 +318,8 @@ def bound_after_jpeg_px(
     coefficients of nine blocks, each normal before it was rounded. Column, row and flux are unknown; of the
     background's variance, as in `cramer_rao_px`, the median counts."""
     assert sensor.jpeg is not None
-    gain, half, steps = (
-        sensor.e_per_dn,
-        HALF - 1,
-        np.tile(jpeg_steps(sensor.jpeg), (3, 3)).reshape(3, 8, 3, 8),
-    )
+    gain, half = sensor.e_per_dn, HALF - 1
+    steps = np.tile(jpeg_steps(sensor.jpeg), (3, 3)).reshape(3, 8, 3, 8)
     sky_e, bound = float(np.median(variance_e)), np.empty(len(xy))
     level = sensor.sky_e / gain + sensor.bias_dn - 128.0
     for n, (place, flux) in enumerate(zip(xy, electrons)):
@@ -352,9 +338,8 @@ def bound_after_jpeg_px(
         variance = _cosines((sky_e + flux * value) / gain**2, squared=True)
         mean = _cosines(value * flux / gain + level)
         weighed = (J / gain).reshape(3, -1)
-        bound[n] = _mean_error(
-            (weighed * rounded_information(mean, np.sqrt(variance), steps).ravel()) @ weighed.T
-        )
+        weights = rounded_information(mean, np.sqrt(variance), steps).ravel()
+        bound[n] = _mean_error((weighed * weights) @ weighed.T)
     return bound
 
 

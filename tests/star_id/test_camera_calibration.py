@@ -11,10 +11,9 @@ from scipy.spatial.transform import Rotation
 from boresight.features.sky_images.sip import tan_sip
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.star_camera import StarCamera
-from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera, residual_map
+from boresight.star_id.camera_calibration import SkyFrame, calibrate_camera, residual_map
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.identification.identify import NotIdentified
-from boresight.star_id.identification.triangle_index import build_index
 from boresight.star_id.observer import Observer
 from boresight.star_id.settings import StarSettings
 
@@ -25,12 +24,6 @@ NOMINAL = StarCamera(
 SETTINGS = StarSettings()
 EPOCH = Epoch.from_utc("2026-01-01T00:00:00Z")
 P_I, V_I = np.array([6.9e6, 0.0, 0.0]), np.array([0.0, 1.0e3, 7.5e3])  # m, m/s
-
-
-@pytest.fixture(scope="module")
-def index():
-    places = hipparcos_stars(8.0).places
-    return build_index(places, places.epoch_jyear, (np.radians(15.0), np.radians(24.0)))
 
 
 def sky_frame(name, rng, camera=TRUTH, observer=None):
@@ -62,7 +55,6 @@ def calibrations(index):
 
 def test_ten_frames_give_the_camera_to_a_hundredth_of_a_pixel(calibrations):
     for result in calibrations:
-        assert isinstance(result, CameraCalibration)
         error = model_error(result.camera)
         assert np.sqrt((error**2).mean()) < 0.01  # px
         assert np.hypot(*error.T).max() < 0.03  # px
@@ -116,7 +108,6 @@ def test_a_drift_of_the_focal_length_is_found_where_there_is_one(index):
         per_s = ppm_a_year * 1e-6 / 3.15576e7
         frames = months_of_frames(rng, per_s)
         result = calibrate_camera(frames, NOMINAL, index, SETTINGS, drift=True)
-        assert isinstance(result, CameraCalibration)
         sigma = result.focal_drift_sigma_per_s
         assert sigma * 3.15576e7 < 5e-6  # a year: what 26 frames can tell, a sixth of the drifts here
         assert (abs(result.focal_drift_per_s) > 4.0 * sigma) == (ppm_a_year != 0.0)

@@ -32,12 +32,8 @@ def test_no_image_raises(look):
         y, x = np.mgrid[: size[0], : size[1]].astype(np.float64)
         image = LOOKS[look](y, x, rng.normal(size=size))
         whole = image.clip(0, 255).round()
-        for pixels in (
-            whole.astype(np.uint8),
-            (256.0 * whole).astype(np.uint16),
-            image,
-            image.astype(np.float32),
-        ):
+        counts = whole.astype(np.uint8), (256.0 * whole).astype(np.uint16)
+        for pixels in (*counts, image, image.astype(np.float32)):
             stars = list_stars(pixels, StarSettings())
             assert np.isfinite(stars.xy_px).all() and np.isfinite(stars.cov_px).all()
 

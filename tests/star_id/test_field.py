@@ -35,12 +35,6 @@ IMAGES = 24
 
 
 @pytest.fixture(scope="module")
-def index():
-    places = hipparcos_stars(8.0).places
-    return build_index(places, places.epoch_jyear, (np.radians(15.0), np.radians(24.0)))
-
-
-@pytest.fixture(scope="module")
 def images():
     rng, places = np.random.default_rng(21), hipparcos_stars(8.0).places
     attitudes = [Rotation.random(random_state=rng) for _ in range(IMAGES)]
@@ -59,7 +53,6 @@ def test_the_attitude_of_a_calibrated_camera_reaches_its_bound(index, images):
     for R_si, stars in images:
         weighed = solve_list(stars, SIZE, index, SETTINGS, camera=TRUTH)
         bare = solve_stars(stars.xy_px, SIZE, index, SETTINGS, camera=TRUTH)
-        assert isinstance(weighed, FieldSolution) and isinstance(bare, FieldSolution)
         bound = np.linalg.inv(information(stars, weighed.detections))
         for found, squares in ((weighed, of_weighed), (bare, of_bare)):
             error = (found.R_si * R_si.inv()).as_rotvec()
@@ -88,7 +81,6 @@ def test_an_unknown_lens_leaves_the_middle_and_the_width_of_the_image_as_sure_as
     true_width = angle_between_edges(TRUTH)
     for R_si, stars in images:
         found = solve_list(stars, SIZE, index, SETTINGS, fov_x_rad=1.05 * true_width)
-        assert isinstance(found, FieldSolution)
         turn = Rotation.from_matrix(middle_axes(found.R_si, found.camera) @ middle_axes(R_si, TRUTH).T)
         right, down, along = turn.as_rotvec() @ middle_axes(R_si, TRUTH)
         in_s = R_si.apply(turn.as_rotvec())
@@ -147,7 +139,6 @@ def test_an_observer_has_aberration_removed(index):
         stars = listed_stars(TRUTH, R_si, sky, rng)
         found = solve_list(stars, SIZE, index, SETTINGS, camera=TRUTH, observer=observer)
         without = solve_list(stars, SIZE, index, SETTINGS, camera=TRUTH)
-        assert isinstance(found, FieldSolution) and isinstance(without, FieldSolution)
         error = (found.R_si * R_si.inv()).as_rotvec()
         squares.append(error @ np.linalg.solve(found.cov_s, error))
         ignored.append((without.R_si * R_si.inv()).magnitude())

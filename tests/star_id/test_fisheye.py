@@ -95,17 +95,10 @@ def test_a_mirrored_fisheye_is_said_to_be_one(index):
     assert isinstance(refused, NotIdentified) and "reverse the order of its columns" in refused.reason
 
 
-@pytest.mark.parametrize(
-    ("kind", "fov_deg", "most_px"),
-    [
-        ("equisolid", 80, 0.1),
-        ("stereographic", 120, 0.1),
-        ("stereographic", 165, 0.1),
-        ("equisolid", 180, 0.1),  # its edges lie behind the camera
-    ],
-)
-def test_a_fisheye_is_calibrated_and_then_known(kind, fov_deg, most_px, index):
-    """Before: `ValueError` for the equisolid lens of 80 deg, refused from 100 deg."""
+@pytest.mark.parametrize(("kind", "fov_deg"), [("equisolid", 80), ("stereographic", 165), ("equisolid", 180)])
+def test_a_fisheye_is_calibrated_and_then_known(kind, fov_deg, index):
+    """Before: `ValueError` for the equisolid lens of 80 deg, refused from 100 deg; edges of that of 180 deg
+    lie behind the camera."""
     lens = ForeignLens(fov_deg, KINDS[kind])
     rotations = [Rotation.random(random_state=10 * fov_deg + k) for k in range(4)]
     frames = [SkyFrame(f"{k}", seen(lens, R_si, k)) for k, R_si in enumerate(rotations)]
@@ -115,11 +108,10 @@ def test_a_fisheye_is_calibrated_and_then_known(kind, fov_deg, most_px, index):
     assert len(found.frames_used) == 4
     xy, _ = directions(found.camera)
     off = np.hypot(*lens.error_px(found.camera, xy).T)
-    assert off.max() < most_px
+    assert off.max() < 0.1  # px
     assert np.isfinite(found.map_error_px(xy)).all()
     again = seen(lens, rotations[0], 7)
     known = solve_list(again, SIZE, index, SETTINGS, camera=found.camera)
-    assert isinstance(known, FieldSolution)
     ahead = np.isfinite(found.camera.directions_from_pixels(again.xy_px)[:, 2])  # others have no name
     assert known.matches > 0.9 * ahead.sum()
     error = (rotations[0] * known.R_si.inv()).magnitude()

@@ -43,16 +43,20 @@ def scored(stars, xy):
     return hit.mean(), false, chi2.mean()
 
 
+def assert_scored(stars, xy, least, most_false, chi2=(0.0, np.inf)):
+    """At least a share of the stars is found, few detections are false, and errors are as stated."""
+    found, false, mean = scored(stars, xy)
+    assert found >= least and false <= most_false and chi2[0] < mean < chi2[1], (found, false, mean)
+
+
 def test_hot_columns_and_row_noise_cost_no_stars():
     rng = np.random.default_rng(1)
     xy = places(rng)
     image = render(xy, np.full(len(xy), 600.0), SIZE, SIZE, SENSOR, rng).astype(np.float64)
     image[:, rng.choice(SIZE, 12, replace=False)] += rng.uniform(30.0, 200.0, 12)
     image += rng.normal(0.0, 4.0, (SIZE, 1))
-    found, false, chi2 = scored(list_stars(image.round().astype(np.uint16), StarSettings()), xy)
-    assert found >= 0.95
-    assert false <= 2
-    assert 0.7 < chi2 < 1.3  # 300 coordinates: 0.08, and what is left of the offsets
+    # 300 coordinates: 0.08, and what is left of the offsets
+    assert_scored(list_stars(image.round().astype(np.uint16), StarSettings()), xy, 0.95, 2, chi2=(0.7, 1.3))
 
 
 @pytest.mark.parametrize("gradient_dn", [0.0, 150.0])
@@ -77,9 +81,8 @@ def test_a_colour_mosaic_is_recognised_and_does_not_displace_stars():
     assert (distance < 1.0).mean() >= 0.95
     error = (stars.xy_px[nearest] - xy)[distance < 1.0]
     assert np.abs(error.mean(axis=0)).max() < 0.02  # px; 0.06 if all pixels counted alike
-    found, false, chi2 = scored(stars, xy)
-    assert found >= 0.95 and false <= 2
-    assert 0.75 < chi2 < 1.3  # 290 coordinates: 0.08, and the noise of four colours
+    # 290 coordinates: 0.08, and the noise of four colours
+    assert_scored(stars, xy, 0.95, 2, chi2=(0.75, 1.3))
 
 
 @pytest.mark.parametrize("count", [1, 8, 30])
@@ -96,8 +99,7 @@ def test_offsets_of_a_grey_sensor_are_no_colours(count):
     true_dn = np.hypot(2.5, 12.0**-0.5)  # readout and rounding
     assert abs(np.median(stars.background.noise_dn) / true_dn - 1.0) < 0.05
     assert stars.saturation_dn == 255.0
-    found, false, _ = scored(stars, xy)
-    assert found >= 0.95 and false <= 2
+    assert_scored(stars, xy, 0.95, 2)
 
 
 @pytest.mark.parametrize("share", [0.003, 0.01, 0.02])
@@ -109,9 +111,8 @@ def test_stars_among_many_hot_pixels_are_found_and_hot_pixels_are_not(share):
     image[hot] += rng.exponential(300.0, np.count_nonzero(hot))
     stars = list_stars(image.round().astype(np.uint16), StarSettings())
     assert stars.hot_pixels > 0.7 * np.count_nonzero(hot)  # a tenth is within the noise
-    found, false, chi2 = scored(stars, xy)
-    assert found >= 0.97 and false <= 3
-    assert 0.75 < chi2 < 1.35  # 300 coordinates: 0.08, and hot pixels within the noise
+    # 300 coordinates: 0.08, and hot pixels within the noise
+    assert_scored(stars, xy, 0.97, 3, chi2=(0.75, 1.35))
 
 
 @pytest.mark.parametrize(("share", "reads"), [(0.0002, "zero"), (0.02, "zero"), (0.003, "the sky")])
@@ -121,9 +122,7 @@ def test_dead_pixels_cost_no_stars_and_displace_none(share, reads):
     xy = places(rng)
     image = render(xy, rng.uniform(350.0, 6000.0, len(xy)), SIZE, SIZE, SENSOR, rng)
     image[rng.random(image.shape) < share] = 0 if reads == "zero" else 200
-    found, false, chi2 = scored(list_stars(image, StarSettings()), xy)
-    assert found >= 0.98 and false <= 2
-    assert 0.7 < chi2 < 1.25  # 300 coordinates: 0.08
+    assert_scored(list_stars(image, StarSettings()), xy, 0.98, 2, chi2=(0.7, 1.25))  # 300 coordinates: 0.08
 
 
 @pytest.mark.parametrize("axis", [0, 1])
@@ -137,9 +136,8 @@ def test_dead_lines_displace_no_stars(axis):
     seen = image if axis == 0 else image.T
     seen[lines] = 0
     stars = list_stars(image, StarSettings())
-    found, false, chi2 = scored(stars, xy)
-    assert found >= 0.98 and false <= 4  # a replaced line repeats the noise beside it
-    assert 0.75 < chi2 < 1.4  # 300 coordinates: 0.08; 50 before
+    # a replaced line repeats the noise beside it; 300 coordinates: 0.08; 50 before
+    assert_scored(stars, xy, 0.98, 4, chi2=(0.75, 1.4))
 
 
 def test_a_sky_cut_off_at_zero_gives_few_false_detections():
@@ -147,10 +145,8 @@ def test_a_sky_cut_off_at_zero_gives_few_false_detections():
     xy = places(rng)
     image = render(xy, np.full(len(xy), 600.0), SIZE, SIZE, SENSOR, rng).astype(np.float64) - 200.0
     stars = list_stars(image.clip(0).astype(np.uint16), StarSettings())
-    found, false, chi2 = scored(stars, xy)
-    assert found >= 0.95 and false <= 2
+    assert_scored(stars, xy, 0.95, 2, chi2=(0.8, 1.3))
     assert abs(stars.psf.sigma_px / SENSOR.sigma_px - 1.0) < 0.03  # 0.06 less if the wings had no cut
-    assert 0.8 < chi2 < 1.3
 
 
 def test_faint_stars_of_a_cut_off_and_vignetted_sky_are_found():
@@ -159,8 +155,7 @@ def test_faint_stars_of_a_cut_off_and_vignetted_sky_are_found():
     r2 = ((np.mgrid[:SIZE, :SIZE] / SIZE - 0.5) ** 2).sum(axis=0)
     image = render(xy, np.full(len(xy), 230.0), SIZE, SIZE, SENSOR, rng) - 30.0 * r2 - 200.0
     stars = list_stars(image.round().clip(0).astype(np.uint16), StarSettings())
-    found, false, _ = scored(stars, xy)
-    assert found >= 0.9 and false <= 2  # SNR 8 before the cut; 0.55 with the limit of a whole sky
+    assert_scored(stars, xy, 0.9, 2)  # SNR 8 before the cut; 0.55 with the limit of a whole sky
     assert stars.background.above_cut.min() < -0.8  # of the corners 80 % are cut off
 
 
@@ -264,9 +259,7 @@ def test_an_even_trail_is_a_smeared_gaussian():
     again = find_trail(image, xy[:80], stars.background, by_moments, saturation_dn=np.inf)
     assert again is not None
     assert min(np.abs(again[0].smear_px - sign * trail).max() for sign in (1, -1)) < 0.1  # px
-    found, false, chi2 = scored(stars, xy)
-    assert found >= 0.95 and false <= 4
-    assert 0.7 < chi2 < 1.4
+    assert_scored(stars, xy, 0.95, 4, chi2=(0.7, 1.4))
 
 
 @pytest.mark.parametrize("radius_px", [3.0, 4.0])
@@ -277,6 +270,5 @@ def test_defocused_rings_are_found_and_their_errors_stated(radius_px):
     shape = stars.psf.shape
     assert shape is not None
     assert np.allclose(shape, shape[::-1, ::-1], atol=1e-9)  # its noise displaces no star
-    found, false, chi2 = scored(stars, xy)
-    assert found >= 0.95 and false <= 4
-    assert 0.84 < chi2 < 1.16  # 300 coordinates: 0.08; 0.77 by the smoothed image's slopes alone
+    # 300 coordinates: 0.08; 0.77 by the smoothed image's slopes alone
+    assert_scored(stars, xy, 0.95, 4, chi2=(0.84, 1.16))

@@ -32,9 +32,8 @@ def difference(name, found, index):
         return f"{name}: {now['matches']} stars, {known['matches']} before"
     off = np.degrees(np.arccos(min(1.0, float(direction(known) @ direction(now)))))
     # a hundredth of the field: places of stars at its edge follow the fit of the lens
-    return (
-        "" if off < 0.01 * float(known["fov_deg"]) else f"{name}: {off:.3f} deg from the recorded direction"
-    )
+    is_near = off < 0.01 * float(known["fov_deg"])
+    return "" if is_near else f"{name}: {off:.3f} deg from the recorded direction"
 
 
 def direction(row):

@@ -109,12 +109,7 @@ def test_fisheye_of_the_widest_fields_is_fitted_from_whatever_start(field_deg):
 
 def test_lens_that_no_projection_images_is_an_error_that_says_so():
     u_i = Rotation.random(60, random_state=1).apply([0.0, 0.0, 1.0])  # also behind the camera
-    stars = IdentifiedStars(
-        np.random.default_rng(1).uniform(0.0, 2000.0, (60, 2)),
-        np.tile(0.01 * np.eye(2), (60, 1, 1)),
-        u_i,
-        np.zeros(60, dtype=int),
-        np.zeros(1),
-    )
+    xy, cov = np.random.default_rng(1).uniform(0.0, 2000.0, (60, 2)), np.tile(0.01 * np.eye(2), (60, 1, 1))
+    stars = IdentifiedStars(xy, cov, u_i, np.zeros(60, dtype=int), np.zeros(1))
     with pytest.raises(np.linalg.LinAlgError):
         choose_lens(stars, nominal_camera(SIZE, np.radians(90.0)), Rotation.identity(1))

@@ -66,12 +66,8 @@ def test_hits_of_one_row_are_told_from_stars_by_their_shape():
 
 def test_a_double_star_is_marked_as_blended_and_a_saturated_one_as_saturated():
     rng = np.random.default_rng(6)
-    stars = [
-        (0, 100.0, 300.0, 300.0),
-        (0, 104.0, 302.5, 150.0),
-        (1, 200.3, 800.2, 3000.0),
-        (1, 60.0, 90.0, 300.0),
-    ]
+    double = [(0, 100.0, 300.0, 300.0), (0, 104.0, 302.5, 150.0)]
+    stars = [*double, (1, 200.3, 800.2, 3000.0), (1, 60.0, 90.0, 300.0)]
     found = found_in(noise_strip(rng, stars=stars), psf_sigma_px=0.55, false_alarms_per_strip=0.01)
     by_place = {
         round(float(x)): (bool(b), bool(s))

@@ -36,9 +36,8 @@ def sky(rng, stars, listed, others, theta=THETA):
     v = rng.uniform(5.0, 9.0, stars + others)
     # catalogue: the listed ones, and stars all around
     around = 120
-    wide = np.column_stack(
-        [rng.uniform(-0.04, 0.02, around), rng.uniform(-0.022, 0.022, around), np.ones(around)]
-    )
+    across, beside = rng.uniform(-0.04, 0.02, around), rng.uniform(-0.022, 0.022, around)
+    wide = np.column_stack([across, beside, np.ones(around)])
     field_i = R0.inv().apply(wide / np.linalg.norm(wide, axis=1)[:, None])
     noisy = u_c + np.column_stack([rng.normal(0.0, 0.4 * PIXEL, (len(u_c), 2)), np.zeros(len(u_c))])
     order = np.argsort(v, kind="stable")
@@ -75,9 +74,8 @@ def test_a_rotation_of_thousands_of_pixels_is_found_among_unlisted_stars_and_nam
 
 
 def test_stars_that_no_catalogue_lists_give_no_rotation():
-    refused = [
-        vote_for_rotation(*sky(np.random.default_rng(100 + n), 25, 0, 15)[:2], 200, 1e-6) for n in range(12)
-    ]
+    skies = (sky(np.random.default_rng(100 + n), 25, 0, 15)[:2] for n in range(12))
+    refused = [vote_for_rotation(*one, 200, 1e-6) for one in skies]
     assert all(isinstance(one, NoRotation) for one in refused)
     # the bound holds: an excess of a factor of ten over chance in twelve trials would be one in a hundred
     assert min(one.log10_chance for one in refused) > -3.0

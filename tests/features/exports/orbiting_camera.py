@@ -6,6 +6,7 @@ from functools import cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from strips import pushbroom
 
 from boresight.features.exports.notes import Notes
 from boresight.geometry.attitude import AttitudeTrack
@@ -13,7 +14,6 @@ from boresight.geometry.constants import GM_EARTH
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
@@ -53,41 +53,17 @@ def strip() -> Pushbroom:
     tilt = Rotation.from_euler("xy", [0.028, 0.012])
     R_ci = Rotation.from_rotvec(wave) * tilt * orbit.R_oi(t_star)
     attitude = AttitudeTrack(t_star, R_CS.inv() * R_ci, orbit)
-    return Pushbroom(
-        camera=camera(),
-        rows=RowClock(19.0 + 1e-3 / 3.0, 7e-5, {0: 0.0, 1: LATER_ROWS}),
-        orbit=orbit,
-        earth=earth,
-        attitude=attitude,
-        R_cs=R_CS,
-        effects=LightEffects(),
-    )
+    rows = RowClock(19.0 + 1e-3 / 3.0, 7e-5, {0: 0.0, 1: LATER_ROWS})
+    return pushbroom(camera(), rows, orbit, attitude, R_CS)
 
 
 def camera() -> LineCamera:
     samples = np.linspace(0.0, 2047.0, 25)
     x = (samples - 1000.0) / 1000.0
     strong = -(2e-5 * x**3 + 3e-5 * x**5)  # 5 px at the ends, of a degree that no cubic follows
-    return LineCamera(
-        10.0,
-        (
-            Ccd(
-                n_px=2048,
-                y_first_m=-0.03,
-                x_offset_m=0.002,
-                rotation_rad=1.2e-3,
-                pixel_m=1e-5,
-                principal_sample=1000.0,
-                distortion_samples=samples,
-                distortion_offsets_m=strong,
-            ),
-            Ccd(
-                n_px=2048,
-                y_first_m=-0.0115,
-                x_offset_m=-0.003,
-                rotation_rad=-8e-4,
-                pixel_m=1e-5,
-                principal_sample=1023.0,
-            ),
-        ),
+    table = {"distortion_samples": samples, "distortion_offsets_m": strong}
+    places = (
+        {"y_first_m": -0.03, "x_offset_m": 0.002, "rotation_rad": 1.2e-3, "principal_sample": 1000.0} | table,
+        {"y_first_m": -0.0115, "x_offset_m": -0.003, "rotation_rad": -8e-4, "principal_sample": 1023.0},
     )
+    return LineCamera(10.0, tuple(Ccd(n_px=2048, pixel_m=1e-5, **place) for place in places))

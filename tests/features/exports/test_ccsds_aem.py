@@ -24,9 +24,7 @@ def matrix_a_to_b(q1, q2, q3, qc):
 
 
 def test_attitudes_are_read_back_by_another_program():
-    ndm_io = pytest.importorskip(
-        "ccsds_ndm.ndm_io", reason="the independent reader ccsds-ndm is not installed"
-    )
+    ndm_io = pytest.importorskip("ccsds_ndm.ndm_io", reason="the reader ccsds-ndm is not installed")
     message = ndm_io.NdmIo().from_string(attitude_message(HEADER, ["strip S01"], UTC, R_CI))
     segment = message.body.segment[0]
     assert segment.metadata.object_name == "TESTSAT"

@@ -35,6 +35,11 @@ def pixels() -> tuple[np.ndarray, np.ndarray]:
     return sample.ravel(), line.ravel()
 
 
+def grounds(model: Pushbroom) -> np.ndarray:
+    """Places (N, 3), ITRF, m, of the pixels, 50 m above the ellipsoid."""
+    return model.ground_points(0, *pixels(), ConstantHeight(50.0))
+
+
 @pytest.mark.parametrize("form", ["V1", "V2", "V2, list"])
 def test_corrected_product_has_the_places_of_the_corrected_camera(tmp_path, form):
     text = dimap_text() if form == "V1" else as_version_2(dimap_text(), listed="list" in form)
@@ -42,11 +47,8 @@ def test_corrected_product_has_the_places_of_the_corrected_camera(tmp_path, form
     path.write_text(text)
     raw = corrected_dimap(path, TURN, {"mission": "A--B", "note": "<&>"})
     (tmp_path / "corrected.xml").write_bytes(raw)
-    expected = turned(path).ground_points(0, *pixels(), ConstantHeight(50.0))
-    found = operator_model(tmp_path / "corrected.xml").pushbroom.ground_points(
-        0, *pixels(), ConstantHeight(50.0)
-    )
-    before = operator_model(path).pushbroom.ground_points(0, *pixels(), ConstantHeight(50.0))
+    expected, found = grounds(turned(path)), grounds(operator_model(tmp_path / "corrected.xml").pushbroom)
+    before = grounds(operator_model(path).pushbroom)
     assert np.linalg.norm(expected - before, axis=1).min() > 5.0  # m
     assert np.linalg.norm(found - expected, axis=1).max() < 1e-5  # m; quaternions lose no digit
     assert b"mission: A- -B" in raw
@@ -75,9 +77,7 @@ def test_only_the_quaternions_of_the_model_are_corrected(tmp_path, version):
     q0, x, y, z = map(float, root.findtext(".//WGS84_Attitudes/Q_VALUES").split())
     turn = Rotation.from_quat([0.0, -0.7071, 0.0, 0.7071]) * TURN.inv()  # camera to ITRS
     assert (Rotation.from_quat([x, y, z, q0]) * turn.inv()).magnitude() < 1e-12  # rad
-    expected = turned(path).ground_points(0, *pixels(), ConstantHeight(50.0))
-    found = operator_model(tmp_path / "corrected.xml").pushbroom
-    off = found.ground_points(0, *pixels(), ConstantHeight(50.0)) - expected
+    off = grounds(operator_model(tmp_path / "corrected.xml").pushbroom) - grounds(turned(path))
     assert np.linalg.norm(off, axis=1).max() < 1e-5  # m
 
 
@@ -95,12 +95,9 @@ def test_a_real_product_is_corrected(tmp_path):
 def test_calibrated_product_is_exported_and_another_one_is_refused(tmp_path):
     product = tmp_path / "product.xml"
     product.write_text(dimap_text())
-    truth = turned(product)
-    sample, line = pixels()
-    lat, lon, height = geodetic_from_ecef(truth.ground_points(0, sample, line, ConstantHeight(50.0)), WGS84)
-    rows = zip(
-        sample.tolist(), line.tolist(), np.degrees(lat).tolist(), np.degrees(lon).tolist(), height.tolist()
-    )
+    expected = grounds(turned(product))
+    lat, lon, height = geodetic_from_ecef(expected, WGS84)
+    rows = zip(*(column.tolist() for column in (*pixels(), np.degrees(lat), np.degrees(lon), height)))
     points = "".join(
         f"p{n},PAN,0,{x!r},{y!r},0.1,0.1,{a!r},{o!r},{h!r},ellipsoidal,1,1,1\n"
         for n, (x, y, a, o, h) in enumerate(rows)
@@ -111,9 +108,7 @@ def test_calibrated_product_is_exported_and_another_one_is_refused(tmp_path):
     run("calibrate", tmp_path / "dump", "--out", tmp_path / "result")
     asked = ("export", tmp_path / "result", "--format", "dimap", "--out", tmp_path / "new")
     run(*asked, "--product", product)
-    corrected = operator_model(tmp_path / "new" / "product.xml").pushbroom
-    expected = truth.ground_points(0, sample, line, ConstantHeight(50.0))
-    found = corrected.ground_points(0, sample, line, ConstantHeight(50.0))
+    found = grounds(operator_model(tmp_path / "new" / "product.xml").pushbroom)
     # noiseless points: what is left is the pull of the priors on the other unknowns
     assert np.linalg.norm(found - expected, axis=1).max() < 0.05  # m, of 12
     other = tmp_path / "other.xml"

@@ -49,11 +49,8 @@ def test_geojson_says_longitude_first_and_keeps_every_digit():
         }
         properties = feature["properties"]
         assert (properties["sample"], properties["line"]) == tuple(POINTS.xy_px[n])
-        assert (properties["target"], properties["strip"], properties["ccd"]) == (
-            POINTS.target_id[n],
-            "S01",
-            2,
-        )
+        stated = tuple(properties[key] for key in ("target", "strip", "ccd"))
+        assert stated == (POINTS.target_id[n], "S01", 2)
         assert properties["used"] is bool(POINTS.used[n])
 
 

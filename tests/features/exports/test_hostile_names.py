@@ -28,15 +28,8 @@ HOSTILE = ["a\nMETA_STOP\nb", "\x1b[31mred\x07", "tab\tnul\x00", "\u2028line \u2
 @pytest.mark.parametrize("name", HOSTILE)
 def test_fits_of_a_hostile_mission_is_read_back(name):
     u = np.tile([[0.0, 0.0, 1.0]], (2, 1))
-    star = StarSightings(
-        exposure_id=name,
-        t_s=1.0,
-        hip=np.array([1, 2]),
-        xy_px=np.zeros((2, 2)),
-        u_s=u,
-        u_i=u,
-        cov_s=isotropic_covariance(u, 1e-6),
-    )
+    rows = {"hip": np.array([1, 2]), "xy_px": np.zeros((2, 2)), "cov_s": isotropic_covariance(u, 1e-6)}
+    star = StarSightings(exposure_id=name, t_s=1.0, u_s=u, u_i=u, **rows)
     raw = centroids_fits([star], Epoch.from_utc("2025-03-20T02:31:07Z"), replace(NOTES, mission=name))
     with fits.open(io.BytesIO(raw)) as file:
         file.verify("exception")

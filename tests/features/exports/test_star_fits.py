@@ -19,15 +19,8 @@ def exposure(name, t_s, n):
     u = rng.normal(size=(n, 3))
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     covariance = isotropic_covariance(u, 3e-6)
-    return StarSightings(
-        exposure_id=name,
-        t_s=t_s,
-        hip=11000 + np.arange(n),
-        xy_px=rng.uniform(0, 500, (n, 2)),
-        u_s=u,
-        u_i=-u,
-        cov_s=covariance,
-    )
+    rows = {"hip": 11000 + np.arange(n), "xy_px": rng.uniform(0, 500, (n, 2)), "u_s": u, "u_i": -u}
+    return StarSightings(exposure_id=name, t_s=t_s, **rows, cov_s=covariance)
 
 
 def headers_and_data(content):

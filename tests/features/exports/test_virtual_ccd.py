@@ -1,19 +1,19 @@
 """The virtual CCD: its place by least squares, and that stitched strips show no seam."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from scipy.fft import irfft2, rfft2, rfftfreq
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
-from strips import EARTH, PERIOD_S, R_CS, attitude, orbit
+from strips import PERIOD_S, R_CS, attitude, orbit, pushbroom
 
 from boresight.features.exports.virtual_ccd import VirtualStrip, _nodes, virtual_camera
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
-from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import Ccd, LineCamera
-from boresight.geometry.pushbroom import Pushbroom, RowClock
+from boresight.geometry.pushbroom import RowClock
 from boresight.geometry.terrain import ConstantHeight, TerrainGrid
 
 WIDTH, OVERLAP, LINES, HEIGHT_M = 400, 64, 2400, 250.0
@@ -48,15 +48,7 @@ def small_camera():
 def small_strip():
     path = orbit()
     track = attitude(path, 4.0, -3.0, wave_rad=1.5e-4)
-    return Pushbroom(
-        camera=small_camera(),
-        rows=RowClock(0.5, PERIOD_S),
-        orbit=path,
-        earth=EARTH,
-        attitude=track,
-        R_cs=R_CS,
-        effects=LightEffects(),
-    )
+    return pushbroom(small_camera(), RowClock(0.5, PERIOD_S), path, track, R_CS)
 
 
 class Ground:
@@ -95,9 +87,7 @@ def scene():
     """The strip and its four raw images of flat textured ground."""
     model = small_strip().tabulated(-600.0, LINES + 600.0)
     ground = Ground(model, np.random.default_rng(11))
-    sample, line = (
-        a.ravel() for a in np.meshgrid(np.arange(WIDTH, dtype=float), np.arange(LINES, dtype=float))
-    )
+    sample, line = (a.ravel() for a in np.meshgrid(np.arange(float(WIDTH)), np.arange(float(LINES))))
     raw = [
         ground.seen_at(model.ground_points(k, sample, line, ConstantHeight(HEIGHT_M))).reshape(LINES, WIDTH)
         for k in range(4)
@@ -136,19 +126,8 @@ def test_the_virtual_line_is_the_least_squares_line_through_all_pixels():
 
 
 def test_a_plain_detector_is_its_own_virtual_ccd():
-    plain = LineCamera(
-        10.0,
-        (
-            Ccd(
-                n_px=500,
-                y_first_m=-0.01,
-                x_offset_m=0.003,
-                rotation_rad=0.02,
-                pixel_m=1e-5,
-                principal_sample=250.0,
-            ),
-        ),
-    )
+    place = {"y_first_m": -0.01, "x_offset_m": 0.003, "rotation_rad": 0.02, "principal_sample": 250.0}
+    plain = LineCamera(10.0, (Ccd(n_px=500, pixel_m=1e-5, **place),))
     ideal = virtual_camera(plain)
     n = np.array([0.0, 123.0, 498.0])
     difference = ideal.directions_from_pixels(0, n) - plain.directions_from_pixels(0, n)
@@ -194,9 +173,8 @@ def test_the_stitched_image_is_the_one_the_virtual_ccd_would_take(scene):
     image = strip.stitched(reader(raw), ALL_LINES, (1000, 1300))
     assert image.shape == (300, strip.width_px)
     line, sample = (a.ravel() for a in np.mgrid[1000.0:1300.0, 0 : strip.width_px])
-    truth = ground.seen_at(
-        strip.virtual.ground_points(0, sample.astype(float), line, ConstantHeight(HEIGHT_M))
-    )
+    places = strip.virtual.ground_points(0, sample.astype(float), line, ConstantHeight(HEIGHT_M))
+    truth = ground.seen_at(places)
     known = np.isfinite(image)
     assert known[:, 6:-6].all()
     assert np.sqrt(((image - truth.reshape(image.shape))[known] ** 2).mean()) < 1.0
@@ -224,18 +202,7 @@ def test_what_no_detector_saw_stays_unknown(scene):
     assert np.isnan(first).any() and np.isfinite(first).any()
     assert np.isnan(strip.stitched(reader(raw), ALL_LINES, (-400, -300))).all()
     with pytest.raises(TypeError, match="LineCamera"):
-        VirtualStrip(
-            Pushbroom(
-                camera=None,
-                rows=model.rows,
-                orbit=model.orbit,
-                earth=EARTH,
-                attitude=model.attitude,
-                R_cs=R_CS,
-                effects=model.effects,
-            ),
-            ConstantHeight(0.0),
-        )
+        VirtualStrip(replace(model, camera=None), ConstantHeight(0.0))
 
 
 @pytest.mark.parametrize(("first", "last", "step", "count"), [(5000.0, 5300.0, 64, 5), (7.0, 9.0, 64, 4)])

@@ -10,6 +10,7 @@ from orbiting_camera import EPOCH, R_CS
 from rasterio.rpc import RPC
 from rasterio.transform import RPCTransformer
 from scipy.spatial.transform import Rotation
+from strips import pushbroom
 
 from boresight.features.exports.ground_error import GroundError, ground_error
 from boresight.features.exports.rpc import fit_rpc, rpc_heights, rpc_metadata
@@ -19,7 +20,6 @@ from boresight.geometry.constants import GM_EARTH, WGS84
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.geodesy import geodetic_from_ecef
-from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
@@ -61,15 +61,9 @@ def jittery(latitude_argument: float, node_deg: float, hz: float) -> Pushbroom:
         )
         for k in range(3)
     ]
-    return Pushbroom(
-        camera=LineCamera(10.0, tuple(ccds), 16, "end"),
-        rows=RowClock(0.3, PERIOD_S, {0: 0.0, 1: 412.37, 2: -97.5}),
-        orbit=orbit,
-        earth=earth,
-        attitude=AttitudeTrack(t_star, R_CS.inv() * R_ci, orbit),
-        R_cs=R_CS,
-        effects=LightEffects(),
-    )
+    rows = RowClock(0.3, PERIOD_S, {0: 0.0, 1: 412.37, 2: -97.5})
+    attitude = AttitudeTrack(t_star, R_CS.inv() * R_ci, orbit)
+    return pushbroom(LineCamera(10.0, tuple(ccds), 16, "end"), rows, orbit, attitude, R_CS)
 
 
 def by_gdal(rpc: RPC, p_e: np.ndarray) -> np.ndarray:
@@ -128,7 +122,6 @@ def test_the_file_has_the_rpc_in_its_tags_and_beside_it(finished: tuple[Path, Pa
         for ccd, begin, end in strip.seams(float(line.mean())):
             sample = np.linspace(begin + 2.0, end - 2.0, 20)
             raw = strip.source_pixels(ccd, sample, line)
-            off = by_gdal(rpc, model.pushbroom.ground_points(ccd, *raw, surface)) - np.column_stack(
-                [sample, line]
-            )
+            pixels = np.column_stack([sample, line])
+            off = by_gdal(rpc, model.pushbroom.ground_points(ccd, *raw, surface)) - pixels
             assert np.hypot(*off.T).max() < MOST_PX

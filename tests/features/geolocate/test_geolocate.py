@@ -151,23 +151,19 @@ def test_wrong_pixels_are_named_with_their_line(calibrated, tmp_path):
         read_pixels(path, calibrated)
 
 
-@pytest.mark.parametrize(
-    ("sample", "line"), [(-0.6, 5.0), (1e9, 5.0), (5.0, -0.6), (5.0, 1e9), (np.nan, 5.0)]
-)
+@pytest.mark.parametrize("sample, line", [(-0.6, 5.0), (1e9, 5.0), (5.0, -0.6), (5.0, 1e9), (np.nan, 5.0)])
 def test_pixels_outside_the_image_are_refused(calibrated, model, sample, line):
     inside = Pixels(np.array([0, 0]), np.array([-0.4, sample]), np.array([5.0, line]))
-    with pytest.raises(
-        RawDataError, match=r"point 2, (sample|line): found .*, expected -0.5 to \d+.5, inside"
-    ):
+    said = r"point 2, (sample|line): found .*, expected -0.5 to \d+.5, inside"
+    with pytest.raises(RawDataError, match=said):
         ground_places(calibrated, model, inside, ConstantHeight(0.0))
 
 
 def test_a_strip_that_is_not_there_or_has_no_attitude_is_named(calibrated):
     with pytest.raises(RawDataError, match="nowhere"):
         strip_model(calibrated, "nowhere")
-    blind = replace(
-        calibrated, result=replace(calibrated.result, usable=np.zeros_like(calibrated.result.usable))
-    )
+    result = replace(calibrated.result, usable=np.zeros_like(calibrated.result.usable))
+    blind = replace(calibrated, result=result)
     with pytest.raises(DataNotSufficientError, match="0 usable star exposures"):
         strip_model(blind, calibrated.dump.strips[0].strip_id)
 
@@ -188,9 +184,8 @@ def test_rows_half_a_step_outside_the_exposures_have_a_place_as_in_matching(cali
     period = strip.clock.row_period_s
     first = float(model.pushbroom.instants(np.array([500.0]))[0])
     t_s = first + 400.0 * period * np.arange(5)
-    track = AttitudeTrack(
-        t_s, model.track.R_si(t_s), calibrated.dump.orbit, np.tile(1e-12 * np.eye(3), (5, 1, 1))
-    )
+    covariance = np.tile(1e-12 * np.eye(3), (5, 1, 1))
+    track = AttitudeTrack(t_s, model.track.R_si(t_s), calibrated.dump.orbit, covariance)
     cut = replace(model, track=track, pushbroom=replace(model.pushbroom, attitude=track))
     pixels = Pixels(np.zeros(4, dtype=int), np.full(4, 50.0), np.array([250.0, 310.0, 400.0, 900.0]))
     surface = ConstantHeight(300.0)

@@ -129,12 +129,19 @@ def test_every_printed_number_is_that_for_programs(noise):
 
 def both(dump) -> tuple[Rotation, Rotation, Rotation]:
     """Attitudes of both trackers, inertial to tracker, and the true rotation from the second to the first."""
-    tables = (
-        np.loadtxt(dump / f"STR{n}.csv", delimiter=",", skiprows=1, usecols=(1, 2, 3, 4)) for n in (1, 2)
-    )
+    columns = {"delimiter": ",", "skiprows": 1, "usecols": (1, 2, 3, 4)}
+    tables = (np.loadtxt(dump / f"STR{n}.csv", **columns) for n in (1, 2))
     one, two = (Rotation.from_quat(table).inv() for table in tables)
     first, second = open_dump(dump).heads
     return one, two, MOVED * first.R_cs0.inv() * second.R_cs0
+
+
+@pytest.fixture(scope="module")
+def record(dump) -> tuple[np.ndarray, Rotation]:
+    """What the second tracker differs by from the first (N, 3), arcsec, about axes of the first, and the true
+    rotation to these."""
+    one, two, R_sh = both(dump)
+    return (R_sh * two * one.inv()).as_rotvec() / ARCSEC, R_sh
 
 
 def of_axes(told: dict, R_sh: Rotation, of: Callable[[float, float, float], np.ndarray]) -> np.ndarray:
@@ -152,10 +159,8 @@ def covariance(white: float, correlated: float, time_s: float, n: int) -> np.nda
     return white**2 * np.eye(n) + correlated**2 * toeplitz(np.exp(-STEP_S * np.arange(n) / time_s))
 
 
-def test_scatter_of_means_is_that_of_the_records_and_its_prediction_that_of_the_noise(dump, noise):
-    _, told, _, figure = noise
-    one, two, R_sh = both(dump)
-    values = (R_sh * two * one.inv()).as_rotvec() / ARCSEC
+def test_scatter_of_means_is_that_of_the_records_and_its_prediction_that_of_the_noise(record, noise):
+    (_, told, _, figure), (values, R_sh) = noise, record
     means = values[:224].reshape(2, 112, 3).mean(axis=1)  # over the 11.2 s of both detectors' rows
     assert told["n_means"] == 2 and told["mean_s"] == pytest.approx(11.2)
     rtol = 1e-3  # the axes are those of the alignment found, some seconds of arc from the drawn one
@@ -166,10 +171,8 @@ def test_scatter_of_means_is_that_of_the_records_and_its_prediction_that_of_the_
     assert np.allclose(told["predicted_white_arcsec"], np.sqrt(np.array(levels) / 11.2), rtol=1e-9)
 
 
-def test_the_figure_has_the_periodogram_and_the_density_of_the_noise(dump, noise):
-    _, told, _, figure = noise
-    one, two, R_sh = both(dump)
-    values = (R_sh * two * one.inv()).as_rotvec() / ARCSEC
+def test_the_figure_has_the_periodogram_and_the_density_of_the_noise(record, noise):
+    (_, told, _, figure), (values, R_sh) = noise, record
     lines = figure.axes[0].lines
     frequency, power = periodogram(values, 1.0 / STEP_S, axis=0)  # one-sided
     used = (frequency > 0.0) & (frequency < 0.5 / STEP_S - 1e-9)
@@ -195,10 +198,8 @@ def density(frequency: np.ndarray) -> Callable[[float, float, float], np.ndarray
     return of
 
 
-def test_the_figure_has_the_allan_deviation_of_record_and_noise(dump, noise):
-    _, told, _, figure = noise
-    one, two, R_sh = both(dump)
-    values = (R_sh * two * one.inv()).as_rotvec() / ARCSEC
+def test_the_figure_has_the_allan_deviation_of_record_and_noise(record, noise):
+    (_, told, _, figure), (values, R_sh) = noise, record
     lines, levels = figure.axes[1].lines, [line.get_ydata()[0] for line in figure.axes[0].lines[2::3]]
     for n in range(3):
         times, found = (np.asarray(part) for part in lines[3 * n].get_data())

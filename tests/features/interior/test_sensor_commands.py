@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import rasterio
 from command_line import invoked, ran
-from drawn_pictures import OURS, kept_figures, shows_curves
+from drawn_pictures import kept_figures, shows_curves
 from four_ccds import map_difference_px
 from recorded_numbers import assert_recorded
 
@@ -19,14 +19,13 @@ from boresight.geometry.geodesy import ecef_from_geodetic
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.terrain_files import surface_of
+from boresight.pipeline.report.panels import OURS
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 
 REAL = Path(__file__).parents[3] / ".." / "shared" / "data" / "pleiades"
 DIMAP = REAL / "PHRDIMAP_P1BP--2018122638935449CP.XML"
 GRID = REAL / "GRID_P1BP--2018122638935449CP.tif"
-needs_real_data = pytest.mark.skipif(
-    not GRID.exists(), reason=f"the real Pleiades metadata are not there: {REAL}"
-)
+needs_real_data = pytest.mark.skipif(not GRID.exists(), reason=f"no real Pleiades metadata: {REAL}")
 
 
 @needs_real_data

@@ -224,6 +224,5 @@ def test_the_merged_matrix_is_the_same_in_any_order():
         at = list(order)
         parts = {name: getattr(series, name)[at] for name in ("F", "F_shared", "right")}
         # sums in another order: rounding of doubles, 1e-12 of a theta
-        assert_allclose(
-            fit_columns(replace(series, **parts), np.ones((4, 1))).coefficients[0], expected, rtol=1e-9
-        )
+        found = fit_columns(replace(series, **parts), np.ones((4, 1))).coefficients[0]
+        assert_allclose(found, expected, rtol=1e-9)

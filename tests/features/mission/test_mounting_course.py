@@ -164,9 +164,8 @@ def test_the_walk_goes_on_before_the_first_result_and_after_the_last():
     np.testing.assert_array_equal(theta[[0, 3]], theta[[1, 2]])
     np.testing.assert_allclose(covariance[1], covariance[2], rtol=1e-6)  # results tell as much at either end
     day = (course.walk_arcsec * ARCSEC) ** 2 * np.eye(3)
-    np.testing.assert_allclose(
-        covariance[[0, 3]] - covariance[[1, 2]], [3.0 * day, 5.0 * day], atol=1e-9 * day[0, 0]
-    )
+    grown = covariance[[0, 3]] - covariance[[1, 2]]
+    np.testing.assert_allclose(grown, [3.0 * day, 5.0 * day], atol=1e-9 * day[0, 0])
     # required: what is reached 7.5 days after the last result about Y, later about X; asked for after 2 days
     now, error = t_s[-1] + 2.0 * DAY_S, lambda days: np.sqrt(np.diag(covariance[2] + days * day))
     required = [error(9.0)[0], error(7.5)[1], np.inf]

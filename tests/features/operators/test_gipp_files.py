@@ -4,7 +4,6 @@ import io
 import stat
 import tarfile
 import zipfile
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -123,9 +122,7 @@ def assert_refused(datastrip: Path, place: Path, raw: bytes, complaint: str) -> 
     "packed",
     [as_dbl, as_data_blocks_in_folders, as_archives, as_one_archive, as_zips, as_one_zip, as_other_encodings],
 )
-def test_every_packing_is_read_as_the_plain_files_are(
-    packed: Callable[[Path, Files], Path], plain: Plain, tmp_path: Path
-) -> None:
+def test_every_packing_is_read_as_the_plain_files_are(packed, plain, tmp_path):
     folder, files = plain
     expected = read_sentinel2(folder / DATASTRIP, folder, "B04")
     assert_same(read_sentinel2(folder / DATASTRIP, packed(tmp_path, files), "B04"), expected)

@@ -17,9 +17,8 @@ from boresight.pipeline.files.dump import open_dump
 def test_white_noise_is_that_about_each_axis_of_the_head():
     rng, drawn = np.random.default_rng(3), np.array([1.3, 0.4, 7.0]) * ARCSEC
     t = 0.125 * np.arange(4000)
-    even = Rotation.from_rotvec(np.outer(t, [1e-3, -4e-4, 7e-4])) * Rotation.from_euler(
-        "xyz", [40, -65, 110], True
-    )
+    start = Rotation.from_euler("xyz", [40, -65, 110], True)
+    even = Rotation.from_rotvec(np.outer(t, [1e-3, -4e-4, 7e-4])) * start
     errors = Rotation.from_rotvec(drawn * rng.standard_normal((len(t), 3)))
     found = white_noise_rad(t, even * errors)  # frame s to GCRS: errors about the axes of s
     assert np.allclose(found, drawn, rtol=0.06)  # four standard errors of 4000 rows, of which a few are alike
@@ -47,9 +46,8 @@ def test_dump_holds_cameras_heads_noise_strips_and_earth_as_given(tmp_path):
         assert np.max((rows.R_si * given.R_is).magnitude()) < 1e-12
     for ccd in range(dump.line_camera.n_ccds):
         sample = np.arange(float(dump.line_camera.n_px(ccd)))
-        ours, theirs = (
-            one.directions_from_pixels(ccd, sample) for one in (dump.line_camera, mission.cameras[""])
-        )
+        cameras = dump.line_camera, mission.cameras[""]
+        ours, theirs = (one.directions_from_pixels(ccd, sample) for one in cameras)
         assert np.allclose(ours, theirs, atol=1e-15)
         (strip,) = (one for one in mission.strips if one.ccd == ccd)
         (read,) = dump.strips

@@ -20,7 +20,6 @@ from boresight.geometry.pushbroom import Pushbroom
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.files.dimap_metadata import operator_model
 from boresight.pipeline.files.dump import Dump, open_dump
-from boresight.pipeline.files.star_side import SolvedAttitudes
 
 POINTS = "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"
 POINTS += "sigma_east_m,sigma_north_m,sigma_up_m\n"
@@ -30,7 +29,6 @@ POINTS += "a,{strip},{ccd},3,100,0.1,0.1,10.0,20.0,50.0,ellipsoidal,1,1,1\n"
 def model_of(dump: Dump, head: int = 0) -> Pushbroom:
     """The rigorous model that a dump's own files state."""
     source, strip = dump.heads[head].source, dump.strips[0]
-    assert isinstance(source, SolvedAttitudes)
     return Pushbroom(
         camera=dump.line_camera,
         rows=strip.clock,
@@ -98,9 +96,8 @@ def test_places_of_a_dimap_are_compared_with_each_node_of_a_location_grid(tmp_pa
     bands, moved_m = [], {0.0: np.zeros(15), 800.0: 3.0 * (np.arange(15) == 7)}
     for altitude, off in moved_m.items():
         ground = ConstantHeight(altitude)
-        lat, lon, _ = geodetic_from_ecef(
-            strip.pushbroom.ground_points(0, 4e3 * column, 3e3 * row, ground), WGS84
-        )
+        places = strip.pushbroom.ground_points(0, 4e3 * column, 3e3 * row, ground)
+        lat, lon, _ = geodetic_from_ecef(places, WGS84)
         bands += [np.degrees(lon), np.degrees(lat + off / 6.37e6)]
     nodes = np.reshape(bands, (4, 3, 5))
     placed = rasterio.Affine(4e3, 0.0, 0.5, 0.0, 3e3, 0.5)  # (0.5, 0.5): the centre of the first pixel

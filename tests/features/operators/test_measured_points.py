@@ -22,9 +22,7 @@ LAT_LON = [[32.7, -16.95], [32.71, -16.9]]
 XY = [[120.25, 3000.5], [2047.0, 17.0]]  # (0, 0) is the centre of the first pixel
 
 ASP_POINT = "1 32 -16 5 1 1 1 i.tif 1 2 1 1\n"
-MOON = (
-    'GEOGCS["Moon",DATUM["Moon",SPHEROID["Moon",1737400,0]],PRIMEM["R",0],UNIT["degree",0.0174532925199433]]'
-)
+MOON = 'GEOGCS["Moon",DATUM["Moon",SPHEROID["Moon",1737400,0]],PRIMEM["R",0],UNIT["degree",0.01745329252]]'
 UTM = CRS.from_epsg(32628).to_wkt("WKT1_GDAL")
 
 
@@ -123,9 +121,7 @@ def test_what_is_written_is_read_as_measured_points(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_file_of_points_that_is_not_sound_is_refused(
-    name: str, text: str, complaint: str, tmp_path: Path
-) -> None:
+def test_file_of_points_that_is_not_sound_is_refused(name, text, complaint, tmp_path):
     (tmp_path / name).write_text(text)
     with pytest.raises(RawDataError, match=complaint):
         read_measured_points(

@@ -110,13 +110,11 @@ def test_the_axes_of_gyros_are_those_that_the_corrected_attitudes_show(files):
     R_is = [Rotation.identity()]
     for step in np.diff(angle, axis=0):
         R_is.append(R_is[-1] * Rotation.from_rotvec(step))
-    axes = Rotation.random(rng=rng).apply(
-        np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3.0)
-    )
+    four = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3.0)
+    axes = Rotation.random(rng=rng).apply(four)
     at = slice(5, 895, 10)
-    errors = np.cumsum(walk * rng.standard_normal((89, 4)), axis=0) + np.outer(
-        t[at], [1e-6, -2e-6, 3e-6, 0.0]
-    )
+    errors = np.cumsum(walk * rng.standard_normal((89, 4)), axis=0)
+    errors += np.outer(t[at], [1e-6, -2e-6, 3e-6, 0.0])
     gyros = GyroAngles(t[at], angle[at] @ axes.T + errors)
     corrected = AttitudeRecord(t, Rotation.concatenate(R_is))
     found = sentinel2_mission([replace(strip, corrected=corrected, gyros=gyros)], "test").gyro
@@ -252,7 +250,6 @@ def test_the_operators_refining_of_a_real_datastrip_is_found_again():
         t_s.append(t)
     v_s, u_c, t_s = np.concatenate(v_s), np.concatenate(u_c), np.concatenate(t_s)
     refining = strip.refining
-    assert refining is not None
     found = fit_correction(v_s, u_c, t_s, strip.R_cp, refining.t_middle_s)
     assert 1e6 * found.angles_rad[0] == pytest.approx([c[0] * 1e6 for c in refining.angles], abs=0.005)
     assert 1e6 * found.angles_rad[1] == pytest.approx([c[1] * 1e6 for c in refining.angles], abs=0.005)

@@ -54,13 +54,8 @@ def cameras_and_directions(rng: np.random.Generator, shown: Shown) -> None:
     scale = -camera.focal_m / seen[:, 2]  # lambda, from the third row
     image = camera.ccds[0].focal_plane(sample)
     shown("1", "row 2 of the collinearity equation, largest lambda < 0", float(scale.max()), 0.0)
-    shown(
-        "1",
-        "image points by lambda M (X - X_P)",
-        largest(scale[:, None] * seen[:, :2], image) / 1e-5,
-        1e-6,
-        " px",
-    )
+    apart = largest(scale[:, None] * seen[:, :2], image) / 1e-5
+    shown("1", "image points by lambda M (X - X_P)", apart, 1e-6, " px")
     u_c = camera.directions_from_pixels(0, sample)
     shown("2", "look vectors through M = R_cs R_si", largest(seen / reach[:, None], u_c), 1e-14)
     ra, dec = rng.uniform(0.0, 2 * np.pi, 30), rng.uniform(-1.5, 1.5, 30)
@@ -84,20 +79,15 @@ def star_camera_and_distortion(rng: np.random.Generator, shown: Shown) -> None:
     u = np.column_stack([-x, -y, np.full(500, s.focal_mm)])
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     measured_px = np.array(s.principal_px) + actual / (s.pixel_um * 1e-3)
-    shown(
-        "3",
-        "u of image points without distortion",
-        largest(camera.directions_from_pixels(measured_px), u),
-        1e-13,
-    )
+    apart = largest(camera.directions_from_pixels(measured_px), u)
+    shown("3", "u of image points without distortion", apart, 1e-13)
     away = largest(camera.pixels_from_directions(u), measured_px)
     shown("4", "image points with distortion", away, 1e-9, " px")
     lens = camera.opencv_parameters()
     v_cv = np.column_stack([-u[:, :2], u[:, 2]])
     projected, _ = cv2.projectPoints(v_cv, np.zeros(3), np.zeros(3), lens.camera_matrix, lens.distortion)
-    shown(
-        "5", "OpenCV's projection of the same directions", largest(projected[:, 0], measured_px), 1e-9, " px"
-    )
+    apart = largest(projected[:, 0], measured_px)
+    shown("5", "OpenCV's projection of the same directions", apart, 1e-9, " px")
     origin = camera.pixels_from_directions([[0.0, 0.0, 1.0]])
     shown("6", "the principal point", largest(origin[0], s.principal_px), 1e-12, " px")
 
@@ -111,9 +101,8 @@ def vectors_and_deviation(rng: np.random.Generator, shown: Shown) -> None:
     shown("7", "w = R_cs u = R_cs R_si v", largest(W, V @ R_ci.T), 1e-12)
     cov = isotropic_covariance(W, 1e-6)
     rotated = C.T @ cov @ C
-    shown(
-        "10", "covariances rotated to frame s", largest(rotated, isotropic_covariance(U, 1e-6)) / 1e-12, 1e-12
-    )
+    apart = largest(rotated, isotropic_covariance(U, 1e-6)) / 1e-12
+    shown("10", "covariances rotated to frame s", apart, 1e-12)
     shown("11", "theta of R_cs = M R_cs0", largest(theta_between(CAMERAS.R_cs, R_CS0), THETA), 1e-15, " rad")
     size, K = np.linalg.norm(THETA), bracket(THETA)
     literal = np.eye(3) + np.sin(size) / size * K + (1 - np.cos(size)) / size**2 * K @ K
@@ -130,12 +119,8 @@ def vectors_and_deviation(rng: np.random.Generator, shown: Shown) -> None:
     print(f"       neglected by the paper: {2.0 / 530e3 / ARCSEC:.2f} arcsec for 2 m of position")
     shown("16", "u = R_cs0^T M^T R_ci V", largest(U, V @ (C0.T @ M.T @ R_ci).T), 1e-12)
     T = Rotation.random(rng=rng).as_matrix()
-    shown(
-        "17",
-        "u after R_cs -> T R_cs, R_ci -> T R_ci",
-        largest(V @ ((T @ C).T @ T @ R_ci).T, V @ (C.T @ R_ci).T),
-        1e-14,
-    )
+    apart = largest(V @ ((T @ C).T @ T @ R_ci).T, V @ (C.T @ R_ci).T)
+    shown("17", "u after R_cs -> T R_cs, R_ci -> T R_ci", apart, 1e-14)
     blind = solve_total(np.zeros((3, 3)), np.zeros(3), sigma_observable_rad=1e-3)
     shown("17", "directions that stars alone determine", 3.0 - len(blind.unobservable), 0.0)
     W0 = R_CS0.apply(U)
@@ -144,12 +129,8 @@ def vectors_and_deviation(rng: np.random.Generator, shown: Shown) -> None:
     shown("19", "W0 - W - [[W]] theta over |theta|^2", largest(W0, first) / size**2, 0.5)
     matrix_28 = np.array([[1, 0.001, -0.002], [-0.001, 1, 0.003], [0.002, -0.003, 1]])
     printed = np.array([matrix_28[1, 2], matrix_28[2, 0], matrix_28[0, 1]])
-    shown(
-        "28",
-        "theta of the printed matrix and of the scenario",
-        largest(printed, paper_scenario().installation.theta_rad),
-        0.0,
-    )
+    apart = largest(printed, paper_scenario().installation.theta_rad)
+    shown("28", "theta of the printed matrix and of the scenario", apart, 0.0)
     shown("28", "the printed matrix and exp[[theta]]", largest(M, matrix_28), 7.0e-6)
     print(f"       the text's first angle is -0.003, the matrix has {printed[0]:+.3f} rad")
 
@@ -167,15 +148,10 @@ def cross_angles(rng: np.random.Generator, shown: Shown) -> None:
     cross = np.cross(CAMERAS.R_cs.apply(U)[:, None, :], W_c[None, :, :])
     size = np.abs(cross).max()
     for number in ("20", "A5"):
-        shown(
-            number,
-            "coefficient of theta with the sign +, numerically",
-            largest(derivative, cross) / size,
-            1e-8,
-        )
-        print(
-            f"       with the printed sign -: {largest(derivative, -cross) / size:.1f} times the coefficient"
-        )
+        apart = largest(derivative, cross) / size
+        shown(number, "coefficient of theta with the sign +, numerically", apart, 1e-8)
+        wrong = largest(derivative, -cross) / size
+        print(f"       with the printed sign -: {wrong:.1f} times the coefficient")
     noisy = noisy_frames(exact, rng).frame(0)
     U, V, _, W_c, V_c, _ = noisy
     W0 = R_CS0.apply(U)
@@ -208,18 +184,13 @@ def normal_equations(frame: tuple, Z: np.ndarray, H: np.ndarray, W0: np.ndarray,
         for j in range(N_C):
             B[i, j, i], B[i, j, N_S + j] = W_c[j] @ G_s[i], W0[i] @ G_c[j]
     signed = np.concatenate([s_s[:, None, None] * cross, -s_c[:, None] * cross])
-    blocks = np.concatenate(
-        [B[range(N_S), :, range(N_S)], np.stack([B[:, j, N_S + j] for j in range(N_C)], axis=1)]
-    )
+    of_targets = np.stack([B[:, j, N_S + j] for j in range(N_C)], axis=1)
+    blocks = np.concatenate([B[range(N_S), :, range(N_S)], of_targets])
     shown("A9", "blocks of B and +-sigma (W0 x W)", largest(blocks, signed) / np.abs(signed).max(), 1e-12)
     B = B.reshape(N_S * N_C, -1)
     shown("A6", "covariance of z, element by element, and B B^T", largest(P, B @ B.T) / P.max(), 1e-12)
-    shown(
-        "A10",
-        "rows and columns of B less n_s n_c, 3 (n_s + n_c)",
-        largest(B.shape, (N_S * N_C, 3 * (N_S + N_C))),
-        0,
-    )
+    apart = largest(B.shape, (N_S * N_C, 3 * (N_S + N_C)))
+    shown("A10", "rows and columns of B less n_s n_c, 3 (n_s + n_c)", apart, 0)
     U, S, _ = np.linalg.svd(B)
     D = np.zeros(len(B))
     D[: len(S)] = S**2
@@ -292,12 +263,8 @@ def noise(rng: np.random.Generator, shown: Shown) -> None:
         expected = isotropic_covariance(true, 1.0)
         sample = np.einsum("kna,knb->nab", off, off) / DRAWS
         for number in numbers:
-            shown(
-                number,
-                "sample covariance and sigma^2 (I - u u^T), of sigma^2",
-                largest(sample, expected),
-                2 * chance,
-            )
+            apart = largest(sample, expected)
+            shown(number, "sample covariance and sigma^2 (I - u u^T), of sigma^2", apart, 2 * chance)
     off_s, off_c = (
         (np.array([d.u_s for d in draws]) - U) / s_s[:, None],
         (np.array([d.w_c for d in draws]) - W_c) / s_c[:, None],
@@ -310,21 +277,13 @@ def noise(rng: np.random.Generator, shown: Shown) -> None:
     cov = isotropic_covariance(U, s_s)
     shown("A3", "R u over sigma^2", largest(np.einsum("nab,nb->na", cov, U), 0.0) / s_s[0] ** 2, 1e-12)
     information = information_of_directions(U, cov)
-    shown(
-        "A3",
-        "pseudo-inverse of R",
-        largest(information, np.linalg.pinv(cov, rcond=1e-6, hermitian=True)) * s_s[0] ** 2,
-        1e-9,
-    )
+    apart = largest(information, np.linalg.pinv(cov, rcond=1e-6, hermitian=True)) * s_s[0] ** 2
+    shown("A3", "pseudo-inverse of R", apart, 1e-9)
     eps = rng.standard_normal((DRAWS, 3))
     G = bracket(W_c[0])
     sample = (eps @ G.T).T @ (eps @ G.T) / DRAWS
-    shown(
-        "A8",
-        "covariance of G epsilon, of sigma^2",
-        largest(sample, isotropic_covariance(W_c[:1], 1.0)[0]),
-        2 * chance,
-    )
+    apart = largest(sample, isotropic_covariance(W_c[:1], 1.0)[0])
+    shown("A8", "covariance of G epsilon, of sigma^2", apart, 2 * chance)
     w_i, w_j, n_s, n_c = CAMERAS.R_cs.apply(U[0]), W_c[0], off_s[:, 0] * s_s[0], off_c[:, 0] * s_c[0]
     dz = n_c @ w_i + CAMERAS.R_cs.apply(n_s) @ w_j
     predicted = np.sum(np.cross(w_i, w_j) ** 2) * (s_s[0] ** 2 + s_c[0] ** 2)

@@ -14,8 +14,6 @@ import scipy.linalg
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-__all__ = ["frame_information_literally"]
-
 Array = NDArray[np.float64]
 
 

@@ -1,4 +1,4 @@
-"""Many frames at once: ragged, and at the bound."""
+"""Many frames at once: ragged, at the bound, and as the paper's literal algorithm has each."""
 
 from dataclasses import replace
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from drawn_campaigns import BOLD, CAMERAS, R_CS0, assert_chi_square
 from scipy.spatial.transform import Rotation
+from ten_steps import frame_information_literally
 
 from boresight.features.paper.frames import calibrate_frames, frame_pairs, prepare_frames
 from boresight.geometry.constants import ARCSEC
@@ -51,6 +52,33 @@ def test_ragged_frames_give_what_each_gives_alone():
         np.testing.assert_allclose(F[k], one_F[0], rtol=0, atol=1e-12 * np.abs(F[k]).max())
         np.testing.assert_allclose(F_theta[k], one_F_theta[0], rtol=0, atol=1e-9 * np.abs(F_theta[k]).max())
     assert not np.any(F[[2, 3, 4]]) and not np.any(F_theta[[2, 3, 4]])  # no stars, no targets, one star
+
+
+@pytest.mark.parametrize(
+    ("stars", "targets", "tolerance_arcsec"),
+    # theta is 7 arcsec off about Z in frames of few targets: the forms part at second order in that
+    [(30, 10, 1e-4), (60, 20, 1e-4), (12, 4, 5e-3), (40, 3, 5e-3)],
+)
+def test_information_form_is_the_literal_form(stars, targets, tolerance_arcsec):
+    frames = drawn(3, 1, stars, targets)
+    R_cs = calibrate_frames(frames, BOLD).R_cs
+    F, F_theta = frame_pairs(prepare_frames(frames), R_cs)
+    pairs = [frame_information_literally(*frames.frame(k), R_cs) for k in range(3)]
+    for k, (literal_F, literal_F_theta) in enumerate(pairs):
+        np.testing.assert_allclose(F[k], literal_F, rtol=0, atol=1e-9 * np.abs(literal_F).max())  # relative
+        theta, literal = np.linalg.solve(F[k], F_theta[k]), np.linalg.solve(literal_F, literal_F_theta)
+        np.testing.assert_allclose(theta, literal, rtol=0, atol=tolerance_arcsec * ARCSEC)
+    together = np.linalg.solve(F.sum(axis=0), F_theta.sum(axis=0))
+    assert np.linalg.norm(together) < 1e-10  # rad: M = I for one form ...
+    literal = np.linalg.solve(*(np.sum(part, axis=0) for part in zip(*pairs)))
+    assert np.linalg.norm(literal) < tolerance_arcsec * ARCSEC  # ... is M = I for the other
+
+
+def test_a_frame_with_one_target_still_counts_in_two_directions():
+    F, _ = frame_pairs(prepare_frames(drawn(1, 1, 30, 1)), BOLD)
+    values = np.linalg.eigvalsh(F[0])
+    assert values[1] > 1e10  # rad^-2: two turns to 10 µrad or better
+    assert values[0] < 1e-6 * values[1]  # the third, about the target's direction, not at all
 
 
 def test_errors_are_at_the_bound_and_unbiased():

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from captured import wide_rows
-from drawn_pictures import OURS, SERIES_COLOURS, shows_curves
+from drawn_pictures import SERIES_COLOURS, shows_curves
 from recorded_numbers import assert_recorded, columns_of, numbers_in
 
 from boresight.features.paper.comparison import COMPARISONS
@@ -17,6 +17,7 @@ from boresight.features.paper.paper_tables import TABLE_4_RMS_ARCSEC, TABLE_5
 from boresight.features.paper.tables import EXPERIMENTS
 from boresight.features.paper.vector_experiments import ExperimentSettings
 from boresight.pipeline.report.page_template import template
+from boresight.pipeline.report.panels import OURS
 
 
 @pytest.fixture(scope="module")

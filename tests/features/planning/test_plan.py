@@ -3,7 +3,6 @@
 import re
 import sys
 from dataclasses import fields
-from functools import partial
 from pathlib import Path
 
 import astropy.units as u
@@ -28,25 +27,10 @@ from boresight.features.planning.campaign_plan import (
     read_plan,
 )
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
-from boresight.pipeline.forecast import campaigns
 from boresight.pipeline.run.settings import settings_from_values
 
 
-@pytest.fixture
-def one_draw(monkeypatch: pytest.MonkeyPatch) -> None:
-    """One example strip of a variant, where the variants' values are not what is tested."""
-    monkeypatch.setattr(campaign_plan, "DRAWS", 1)
-
-
-@pytest.fixture
-def few_draws(one_draw: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ten example strips of each campaign, where only the order of their errors counts."""
-    monkeypatch.setattr(campaign_plan, "PLAN_DRAWS", 10)
-    monkeypatch.setattr(campaigns, "PLAN_DRAWS", 10)
-    monkeypatch.setattr(campaign_plan, "forecast_of_plan", partial(campaigns.forecast_of_plan, draws=10))
-
-
-def test_a_plan_is_told_with_its_table_and_plot(tmp_path: Path, one_draw: None):
+def test_a_plan_is_told_with_its_table_and_plot(tmp_path: Path, few_draws: None):
     path = tmp_path / "plan.toml"
     path.write_text("[strips]\ncount = 12\n[errors]\ndistortion_px = 0.0\n", encoding="utf-8")
     told = ran("plan", path, "--target", 2, "--out", tmp_path / "out")
@@ -95,9 +79,7 @@ def test_a_gyro_carries_two_exposures_over_a_strip(few_draws: None, monkeypatch:
     assert np.all(good < 0.5 * without) and np.all(good < 0.9 * poor)
 
 
-def test_strips_of_the_sky_are_forecast_as_they_are_planned(
-    few_draws: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_strips_of_the_sky_are_forecast_as_they_are_planned(few_draws, monkeypatch):
     parts = []
     monkeypatch.setattr(
         campaign_plan, "compare_campaigns", lambda ground, sky, cameras: parts.append(sky) or {}

@@ -12,7 +12,7 @@ import pytest
 from astropy.coordinates import SkyCoord, get_body
 from astropy.time import Time
 from command_line import invoked, ran
-from drawn_pictures import OURS, SERIES_COLOURS, kept_figures, numbers, shows_curves
+from drawn_pictures import SERIES_COLOURS, kept_figures, numbers, shows_curves
 from handmade import ATTITUDE_HEAD, give_heads
 from recorded_numbers import assert_recorded, columns_of
 from scipy.integrate import solve_ivp
@@ -23,6 +23,7 @@ from boresight.features.planning import scan_files, scan_plan
 from boresight.features.planning.scan_plan import ScanCameras, ScanSettings, angles_to_bodies, choose_scans
 from boresight.geometry.attitude_noise import NO_NOISE
 from boresight.pipeline.files.dump import open_dump
+from boresight.pipeline.report.panels import OURS
 from boresight.star_id.whole_catalogue import all_hipparcos
 
 MINI = Path(__file__).parents[3] / "fixtures" / "mini"

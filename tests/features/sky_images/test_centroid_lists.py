@@ -72,11 +72,7 @@ def test_lists_are_cut_and_joined_in_the_order_of_flux(stars):
         (pd.DataFrame({"x_px": [1.0]}), (64, 64), "also y_px"),
         (pd.DataFrame({"x_px": [1.0], "y_px": [1.0], "sigma_px": [0.0]}), (64, 64), "sigma_px"),
         (pd.DataFrame({"x_px": [1.0], "y_px": [1.0], "sigma_x_px": [0.1]}), (64, 64), "also sigma_y_px"),
-        (
-            pd.DataFrame({"x_px": [1.0], "y_px": [1.0], "sigma_x_px": [-1], "sigma_y_px": [1]}),
-            (9, 9),
-            "above 0",
-        ),
+        (pd.DataFrame({"x_px": [1], "y_px": [1], "sigma_x_px": [-1], "sigma_y_px": [1]}), (9, 9), "above 0"),
         (np.array([[1.0, 2.0], [700.0, 3.0]]), (480, 640), "220.5 px outside of"),  # (height, width)
         (np.array([[1.0, -2.0]]), (480, 640), "1.5 px outside of"),
         (np.zeros((64, 64), np.uint8), (64, 64), "size"),
@@ -105,10 +101,8 @@ def test_an_empty_list_is_not_identified():
 
 
 def test_an_opencv_camera_projects_as_opencv_does():
-    matrix, distortion = (
-        np.array([[900.0, 0, 330], [0, 900.0, 235], [0, 0, 1]]),
-        [-0.2, 0.05, 1e-3, -2e-3, 0.01],
-    )
+    matrix = np.array([[900.0, 0, 330], [0, 900.0, 235], [0, 0, 1]])
+    distortion = [-0.2, 0.05, 1e-3, -2e-3, 0.01]
     camera = bs.StarCamera.from_opencv(matrix, distortion, size_px=(640, 480))
     v = np.random.default_rng(2).uniform([-0.3, -0.2, 1.0], [0.3, 0.2, 1.0], (50, 3))
     expected = cv2.projectPoints(v, np.zeros(3), np.zeros(3), matrix, np.array(distortion))[0][:, 0]

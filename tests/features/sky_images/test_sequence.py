@@ -34,9 +34,8 @@ INDEX = sky_index(CAMERA, None, StarSettings())
 @pytest.fixture(scope="module")
 def slew():
     simulated = sequence(INDEX, 7, 60)
-    return simulated, bs.track(
-        simulated.images, camera=CAMERA, times_s=simulated.times_s, exposure_s=EXPOSURE_S
-    )
+    timing = {"times_s": simulated.times_s, "exposure_s": EXPOSURE_S}
+    return simulated, bs.track(simulated.images, camera=CAMERA, **timing)
 
 
 def test_every_frame_of_a_slew_with_a_gap_and_glare_is_right_or_lost(slew) -> None:
@@ -167,14 +166,8 @@ def test_the_command_says_of_every_frame_what_it_is(tmp_path, monkeypatch) -> No
 def test_frames_of_a_fisheye_are_tracked() -> None:
     """110 degrees along columns, equidistant: stars to V 5, 400 in view."""
     focal_px = 0.5 * 1536 / np.radians(55.0)
-    fisheye = replace(
-        CAMERA,
-        focal_m=focal_px * CAMERA.pixel_m,
-        width_px=1536,
-        height_px=1152,
-        principal_px=(767.5, 575.5),
-        projection="equidistant",
-    )
+    sensor = {"width_px": 1536, "height_px": 1152, "principal_px": (767.5, 575.5)}
+    fisheye = replace(CAMERA, focal_m=focal_px * CAMERA.pixel_m, **sensor, projection="equidistant")
     bright, rng, R = places_of(INDEX), np.random.default_rng(5), Rotation.random(random_state=8)
     bright = bright.take(np.flatnonzero(bright.v_mag < 5.0))
     images, truth, rate = [], [], np.radians([0.2, -0.1, 0.3])

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from boresight.features.sky_images import sky_plan
 from boresight.features.sky_images.field_plan import _outline, _pieces
 from boresight.features.sky_images.sky_plan import StarImageModel, plan_pointings
-from boresight.star_id.camera_calibration import CameraCalibration, SkyFrame, calibrate_camera
+from boresight.star_id.camera_calibration import SkyFrame, calibrate_camera
 from boresight.star_id.camera_fit import detector_grid
 from boresight.star_id.catalogue import hipparcos_stars
 from boresight.star_id.field import solve_field, solve_stars
@@ -61,7 +61,6 @@ def test_the_error_that_is_foretold_is_the_error_that_comes(plan, index):
             for k, pointing in enumerate(plan.pointings)
         ]
         found = calibrate_camera(frames, ROUGH, index, SETTINGS)
-        assert isinstance(found, CameraCalibration)
         stated.append(found.model_sigma_px(detector_grid(found.camera)).max())
     # a tenth: the plan's camera is 1 % off, so stars near the edges come and go; the median, since noise
     # looks like a smooth distortion of the lens in one of twenty

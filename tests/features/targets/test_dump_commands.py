@@ -51,15 +51,8 @@ def test_skeleton_of_attitudes_and_points_lacks_only_what_is_to_be_filled_in(tmp
     folder = tmp_path / "new"
     status, _ = run("dump", "init", folder, "--attitudes", "--points")
     assert status == 0
-    assert sorted(path.name for path in folder.iterdir()) == [
-        "dump.toml",
-        "installation.toml",
-        "orbit.oem",
-        "points.csv",
-        "remote_camera.toml",
-        "str1.csv",
-        "strips.csv",
-    ]
+    wanted = "dump.toml installation.toml orbit.oem points.csv remote_camera.toml str1.csv strips.csv"
+    assert sorted(path.name for path in folder.iterdir()) == wanted.split()
     head = read_toml(folder / "dump.toml", DumpFile, "dump.toml")
     assert head.star_cameras[0].level == "attitudes" and head.files.points == "points.csv"
     assert files_with_faults(folder) == {"orbit.oem", "points.csv", "str1.csv", "strips.csv"}
@@ -102,9 +95,7 @@ def test_all_errors_of_all_files_are_found_at_once(handmade: Path, tmp_path: Pat
     assert page.read_text().count("<li>") == sum(expected.values())
 
 
-def test_a_sound_dump_shows_footprints_and_the_nearest_miss_of_every_target(
-    one_strip: Path, tmp_path: Path
-) -> None:
+def test_a_sound_dump_shows_footprints_and_the_nearest_miss_of_every_target(one_strip, tmp_path):
     rows = (one_strip / "targets.csv").read_text().splitlines()
     moved = rows[5].split(",")
     moved[1] = f"{float(moved[1]) + 0.5:.6f}"  # 55 km north

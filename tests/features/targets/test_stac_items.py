@@ -99,9 +99,7 @@ def columns_of(rows: list[dict[str, str]]) -> np.ndarray:
     return (np.asarray(east) - EAST) / PIXEL_M
 
 
-def test_newest_clear_image_gives_the_chips_and_changed_places_none(
-    images: dict[str, dict[str, Path]], tmp_path: Path
-) -> None:
+def test_newest_clear_image_gives_the_chips_and_changed_places_none(images, tmp_path):
     rows, output = suggested(tmp_path / "t", "--stac", catalogue_of(tmp_path / "c", images).parent)
     columns, references = columns_of(rows), [row["reference"] for row in rows]
     assert len(rows) >= 8 and columns.max() < 270 + 32  # a chip may reach over the border by its half
@@ -111,9 +109,7 @@ def test_newest_clear_image_gives_the_chips_and_changed_places_none(
     assert "found again in 2 of 2 images of other dates" in output
 
 
-def test_scatter_of_the_dates_offsets_is_the_sigma_of_the_ground_reference(
-    images: dict[str, dict[str, Path]], tmp_path: Path
-) -> None:
+def test_scatter_of_the_dates_offsets_is_the_sigma_of_the_ground_reference(images, tmp_path):
     _, output = suggested(tmp_path / "t", "--stac", catalogue_of(tmp_path / "c", images))
     # -0.5 px of 2 m to the east and 1.5 px down: the images' noise leaves 0.01 px
     (line,) = [line for line in output.splitlines() if line.startswith("2020-06-01 against 2021-06-01")]
@@ -142,9 +138,7 @@ def test_items_are_taken_by_day_place_and_asset(images: dict[str, dict[str, Path
         stac_images(StacQuery(source=catalogue))
 
 
-def test_item_whose_image_is_missing_is_named_and_the_others_are_used(
-    images: dict[str, dict[str, Path]], tmp_path: Path
-) -> None:
+def test_item_whose_image_is_missing_is_named_and_the_others_are_used(images, tmp_path):
     lost = images | {"2018-06-01": {"image": tmp_path / "lost.tif"}}
     found, (line,) = stac_images(StacQuery(source=catalogue_of(tmp_path / "c", lost)))
     assert len(found) == 3 and line.startswith("2018-06-01: ") and "lost.tif" in line
@@ -162,9 +156,7 @@ def store(images: dict[str, dict[str, Path]], tmp_path_factory: pytest.TempPathF
         yield address
 
 
-def test_stores_and_disks_give_the_same_targets(
-    store: str, images: dict[str, dict[str, Path]], tmp_path: Path
-) -> None:
+def test_stores_and_disks_give_the_same_targets(store, images, tmp_path):
     dates = sorted(DATES, reverse=True)[:2]
     here = suggested(tmp_path / "here", *(images[date]["image"] for date in dates))[0]
     assert len(here) >= 6  # places of which half has changed are not found again
@@ -211,12 +203,8 @@ def test_api_is_searched(images: dict[str, dict[str, Path]], tmp_path: Path) -> 
 
         def answer(self, wanted: dict, head: bool = False) -> None:
             here = f"http://127.0.0.1:{self.server.server_port}"
-            search = {
-                "rel": "search",
-                "href": f"{here}/search",
-                "type": "application/geo+json",
-                "method": "POST",
-            }
+            search = {"rel": "search", "href": f"{here}/search", "method": "POST"}
+            search["type"] = "application/geo+json"
             root = {"type": "Catalog", "id": "api", "stac_version": "1.0.0", "description": "api"}
             kinds = ["https://api.stacspec.org/v1.0.0/core", "https://api.stacspec.org/v1.0.0/item-search"]
             content = root | {"conformsTo": kinds, "links": [search]}
