@@ -42,7 +42,7 @@ NOISE = AttitudeNoise(
 MODEL = CalibrationSettings()
 LASTING = replace(MODEL, position_time_s=90.0, clock_time_s=20.0)  # strips are 62 s apart
 Wrong = Callable[[StripSightings], StripSightings]
-EXAMPLES = 12  # of a law, each of which cuts every strip of a campaign in a way of its own
+EXAMPLES = 20  # of a law, each of which cuts every strip of a campaign in a way of its own
 KINDS = ("ground", "sky", "mixed", "heads", "attitudes", "cameras")
 OBLIQUE = CameraPair(SECOND * BOLD, pixel_rad=2e-6, ccd_px=2048, n_ccds=3)
 

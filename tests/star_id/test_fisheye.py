@@ -95,7 +95,10 @@ def test_a_mirrored_fisheye_is_said_to_be_one(index):
     assert isinstance(refused, NotIdentified) and "reverse the order of its columns" in refused.reason
 
 
-@pytest.mark.parametrize(("kind", "fov_deg"), [("equisolid", 80), ("stereographic", 165), ("equisolid", 180)])
+LENSES = [("equisolid", 80), ("stereographic", 120), ("stereographic", 165), ("equisolid", 180)]
+
+
+@pytest.mark.parametrize(("kind", "fov_deg"), LENSES)
 def test_a_fisheye_is_calibrated_and_then_known(kind, fov_deg, index):
     """Before: `ValueError` for the equisolid lens of 80 deg, refused from 100 deg; edges of that of 180 deg
     lie behind the camera."""

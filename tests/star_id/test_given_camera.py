@@ -77,7 +77,7 @@ def test_errors_are_as_stated_where_rows_were_read_one_after_another(px):
 
 def test_half_of_a_shear_is_a_rotation_and_a_motion_along_columns_is_none():
     """A row read later is displaced sideways: the image turns by half of that."""
-    sideways, along = (fits(lambda _, a=angle: shutter(3.0, a), 20)[1] for angle in (0.0, 0.5 * np.pi))
+    sideways, along = (fits(lambda _, a=angle: shutter(3.0, a))[1] for angle in (0.0, 0.5 * np.pi))
     turn = 3.0 / (SIZE[1] - 1.0) / 2.0
     axis = SMALL_CAMERA.middle_axes()[:, 2]
     stated = [np.sqrt(axis @ fit.cov_s @ axis) for fit in sideways]
