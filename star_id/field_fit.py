@@ -69,12 +69,12 @@ def fit_attitude_and_lens(
     taken off the centroids and all is fitted again: distortion and decentring absorb a part of it, by terms
     that are not linear.
     """
-    fit, equations, common = _fit(camera, R_si, xy_px, cov_px, u_i, expected, np.zeros_like(xy_px))
-    stretch_px = stretch_size(equations, common)
+    fit, equations = _fit(camera, R_si, xy_px, cov_px, u_i, expected, np.zeros_like(xy_px))
+    stretch_px = stretch_size(equations, fit.common_px2)
     for _ in range(2 if stretch_px else 0):  # each to places without the stretch seen before
-        moved_px = equations.stretched(stretch_px).displaced_px(xy_px, common)
-        fit, equations, common = _fit(camera, R_si, xy_px, cov_px, u_i, expected, moved_px)
-    return LensFit(fit.rotations[0], lens_errors(equations, common, stretch_px))
+        moved_px = equations.stretched(stretch_px).displaced_px(xy_px, fit.common_px2)
+        fit, equations = _fit(camera, R_si, xy_px, cov_px, u_i, expected, moved_px)
+    return LensFit(fit.rotations[0], lens_errors(equations, fit.common_px2, stretch_px))
 
 
 def _fit(
@@ -85,9 +85,9 @@ def _fit(
     u_i: Floats,
     expected: StarCamera | None,
     moved_px: Floats,
-) -> tuple[CameraFit, LensEquations, float]:
-    """Camera and attitude of centroids that a stretch moved by `moved_px` (N, 2), equations for what else
-    displaces them, and a variance common to all; other arguments as in `fit_attitude_and_lens`."""
+) -> tuple[CameraFit, LensEquations]:
+    """Camera and attitude of centroids that a stretch moved by `moved_px` (N, 2), and equations for what else
+    displaces them; other arguments as in `fit_attitude_and_lens`."""
     image = np.zeros(len(xy_px), dtype=np.int64)
     stars = IdentifiedStars(xy_px=xy_px - moved_px, cov_px=cov_px, u_i=u_i, frame=image, t_s=np.zeros(1))
     R = Rotation.concatenate([R_si])
@@ -98,8 +98,7 @@ def _fit(
     common = float(np.median((off**2).sum(axis=1))) / MEDIAN_CHI2
     fit = fit_camera(stars, camera, R, prior=prior, expected=ideal, common_px2=common)
     equations = LensEquations.of(fit, fit.rotations[0].apply(u_i), cov_px, prior)
-    residual_px = equations.residual_px + moved_px[fit.keep]
-    return fit, replace(equations, residual_px=residual_px), fit.common_px2
+    return fit, replace(equations, residual_px=equations.residual_px + moved_px[fit.keep])
 
 
 def _prior_sigmas(camera: StarCamera, between: float) -> dict[str, float]:

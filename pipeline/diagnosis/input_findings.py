@@ -68,21 +68,11 @@ class ChipMap:
     parts: Callable[[Floats], Floats]  # both parts (N, 2) of affine maps (N, 2, 2) that agree in it
 
 
+LARGER, TURNED = "pixels stated {0:.3g} ± {1:.2g} % too {2}", "a rotation by {0:.3g} ± {1:.2g}°"
+DEG = float(np.radians(1.0))
 CHIP_MAPS = (
-    ChipMap(
-        "pixel size of the chips",
-        "pixels stated {0:.3g} ± {1:.2g} % too {2}",
-        "%",
-        1e-2,
-        lambda A: -A[:, [0, 1], [0, 1]],
-    ),
-    ChipMap(
-        "rotation of the chips",
-        "a rotation by {0:.3g} ± {1:.2g}°",
-        "°",
-        float(np.radians(1.0)),
-        lambda A: A[:, [0, 1], [1, 0]] * [1.0, -1.0],
-    ),
+    ChipMap("pixel size of the chips", LARGER, "%", 1e-2, lambda A: -A[:, [0, 1], [0, 1]]),
+    ChipMap("rotation of the chips", TURNED, "°", DEG, lambda A: A[:, [0, 1], [1, 0]] * [1.0, -1.0]),
 )
 ROUNDED_M = (10.0, 100.0, 1000.0)  # steps to which positions may have been rounded: 1 m moves 0.1″
 # Reasons of targets whose place is wrong.
