@@ -54,7 +54,7 @@ MOST_CHIPS = 256  # that are opened for it
 # Of the maps from chips to strips: fewest of one source that are compared; scatter from chip to chip, 0.001
 # of sound ones; size from which places in the middle of 128 px move by a fifth of a pixel.
 FEWEST_MAPS, MAP_SCATTER, SMALLEST_MAP = 6, 1e-3, 3e-3
-MAP_SIGMAS = 6.0  # of the median of a source, from which it is told
+MAP_SIGMAS = 6.0  # of the median of a source, from which it is reported
 
 
 @dataclass(frozen=True)
