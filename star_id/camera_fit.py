@@ -285,7 +285,7 @@ def _project(theta: Floats, camera: StarCamera, u_s: Floats, time: Floats | floa
     f0, p = camera.focal_m / camera.pixel_m, complex(theta[3], theta[4])
     q1, q2, q3 = theta[[5, 6, 8]].tolist()
     scale = np.exp(theta[0] + theta[7] * np.asarray(time))
-    tangent = (u_s[:, :2] / -u_s[:, 2:]).view(np.complex128)[:, 0]
+    tangent = np.ascontiguousarray(u_s[:, :2] / -u_s[:, 2:]).view(np.complex128)[:, 0]
     projected, own_t, other_t = _projected_tangents(camera, tangent)
     t = projected * scale
     r2, sideways = t.real * t.real + t.imag * t.imag, 2.0 * (p.real * t.real + p.imag * t.imag)
