@@ -14,12 +14,14 @@ from typing import Any, NamedTuple
 import astropy.units as u
 import numpy as np
 import pandas as pd
-from array_arguments import arrays_of
 from astropy.time import Time
 from scipy.spatial.transform import Rotation
+from tasks import arrays_of
 from wrong_vectors import drawn_vectors
 
 import boresight as bs
+
+__all__ = ["DOCUMENTED", "Door", "door", "hostile_calls"]
 
 DOCUMENTED = (ValueError, bs.RawDataError, bs.DataNotSufficientError, bs.WorkerError)
 MOST_REPLACED = 3

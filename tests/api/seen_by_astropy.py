@@ -11,6 +11,8 @@ from astropy.utils import iers
 from scipy.spatial.transform import Rotation
 from wrong_vectors import R_TRUE, SIGMA_C, SIGMA_S, unit_vectors
 
+__all__ = ["axes_of_gcrs", "directions_by_astropy", "frame_of", "ground_of", "places_below", "states_of"]
+
 OMEGA_E, C = np.array([0.0, 0.0, 7.292115e-5]), 299792458.0  # rad/s, m/s
 STATE = ("x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s")
 

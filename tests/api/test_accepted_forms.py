@@ -22,11 +22,7 @@ TZ = datetime.timezone(datetime.timedelta(hours=2))
         (np.datetime64(EXACT), EXACT),
         (np.array(EXACT, dtype="datetime64[ns]"), EXACT),
         (Time(EXACT, scale="utc"), EXACT),
-        (EXACT, EXACT),
-        (Time("2026-03-01T12:00:37.123456789", scale="tai"), EXACT),
         (datetime.datetime(2026, 3, 1, 14, tzinfo=TZ), "2026-03-01T12:00:00"),
-        (datetime.datetime(2026, 3, 1, 12, 0, 0, 250000), "2026-03-01T12:00:00.250000"),
-        (pd.Timestamp("2026-03-01T17:30", tz="Asia/Kolkata"), "2026-03-01T12:00:00"),
         (np.datetime64("2026-03-01"), "2026-03-01T00:00:00"),
         (np.datetime64("2609-01-01"), "2609-01-01T00:00:00"),  # beyond what 64 bits of nanoseconds hold
     ],

@@ -1,6 +1,7 @@
 """Forms of a star image, what is said of what is not among its stars, and its coordinates on the sky."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -47,7 +48,9 @@ def test_every_type_of_an_image_gives_the_same_stars(pixels: np.ndarray, kind: t
 
 
 @pytest.mark.parametrize("kind", [np.int16, np.uint16, np.int32, np.int64])
-def test_integers_of_a_file_are_counts_whatever_type_holds_them(pixels, kind, tmp_path):
+def test_integers_of_a_file_are_counts_whatever_type_holds_them(
+    pixels: np.ndarray, kind: type, tmp_path: Path
+) -> None:
     known, image = bs.find_stars(pixels), pixels.astype(kind)
     np.save(tmp_path / "sky.npy", image)
     fits.PrimaryHDU(image).writeto(tmp_path / "sky.fits")
@@ -103,6 +106,7 @@ def test_stars_of_the_catalogue_lie_where_pixel_to_sky_says(solution: bs.StarSol
 
 def test_aberration_is_removed_by_the_inverse_of_what_erfa_applies(solution: bs.StarSolution) -> None:
     observer = solution.observer
+    assert observer is not None
     stars = hipparcos_stars().places.take(np.arange(50))
     apparent = apparent_star_directions(stars, observer.epoch, observer.t_s, observer.p_i, observer.v_i)
     turned = Rotation.align_vectors([[0.0, 0.0, 1.0]], apparent[:1])[0]
@@ -156,7 +160,9 @@ def test_colours_become_grey_and_other_shapes_are_refused(pixels: np.ndarray) ->
         bs.identify(pixels, time="yesterday")
 
 
-def test_a_camera_that_the_stars_contradict_is_reported(solution, pixels):
+def test_a_camera_that_the_stars_contradict_is_reported(
+    solution: bs.StarSolution, pixels: np.ndarray
+) -> None:
     assert solution.misfit_px == 0.0 and "NOT THE CAMERA GIVEN" not in repr(solution)
     longer = replace(solution.camera, focal_m=1.001 * solution.camera.focal_m)
     found = bs.identify(pixels, camera=longer, time="2024-11-20T03:40:01.6")

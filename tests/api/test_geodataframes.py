@@ -1,15 +1,17 @@
-"""Targets as points of a GeoDataFrame, in and out."""
+"""Targets as points of a GeoDataFrame, in and out; geopandas is not loaded before it is asked for."""
 
 import dataclasses
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from array_arguments import arrays_of
 from seen_by_astropy import directions_by_astropy, places_below, states_of
+from tasks import arrays_of
 from wrong_vectors import R_TRUE, SIGMA_C, SIGMA_S, drawn_vectors, unit_vectors
 
 import boresight as bs
@@ -59,15 +61,15 @@ def test_points_without_a_reference_system_or_above_a_geoid_are_refused(states: 
         calibrated(states, table, circles)
 
 
-def test_a_dump_of_arrays_takes_points_whatever_its_columns_are_called() -> None:
+def test_a_dump_of_arrays_takes_points_and_its_result_gives_them() -> None:
     arrays = arrays_of(MINI)
-    targets = arrays["targets"].rename(columns={"lat_deg": "latitude", "lon_deg": "longitude"})
+    targets = arrays["targets"].rename(columns=dict(zip(("lat_deg", "lon_deg"), ("latitude", "longitude"))))
     at = geopandas.points_from_xy(targets["longitude"], targets["latitude"])
     points = geopandas.GeoDataFrame(targets, geometry=at, crs=4326)
-    dump = bs.dump_from_arrays(**arrays | {"targets": points})
-    found = pd.read_csv(Path(dump.root) / "targets.csv")
-    np.testing.assert_allclose(found["lon_deg"], targets["longitude"], rtol=0, atol=1e-8)
-    np.testing.assert_allclose(found["lat_deg"], targets["latitude"], rtol=0, atol=1e-8)
+    out = bs.calibrate(bs.dump_from_arrays(**arrays | {"targets": points})).geodataframe()
+    known = targets.set_index("id").loc[out["target_id"]]
+    np.testing.assert_allclose(out.geometry.x, known["longitude"], rtol=0, atol=1e-8)
+    np.testing.assert_allclose(out.geometry.y, known["latitude"], rtol=0, atol=1e-8)
 
 
 def test_a_result_folder_gives_the_points_of_its_evidence(finished: tuple[Path, Path]) -> None:
@@ -76,7 +78,9 @@ def test_a_result_folder_gives_the_points_of_its_evidence(finished: tuple[Path, 
     np.testing.assert_allclose(out.geometry.x, known["lon_deg"], rtol=0, atol=1e-8)
 
 
-def test_a_result_of_several_dumps_gives_the_points_and_stars_of_each(finished, tmp_path):
+def test_a_result_of_several_dumps_gives_the_points_and_stars_of_each(
+    finished: tuple[Path, Path], tmp_path: Path
+) -> None:
     alone, names = bs.read_result(finished[1]), ["first", "second"]
     for name in names:
         for part in ("evidence", "sightings"):
@@ -97,3 +101,8 @@ def test_directions_have_no_places() -> None:
     result = bs.calibrate_vectors(*drawn_vectors(np.random.default_rng(6)))
     with pytest.raises(ValueError, match="no place of a target is known"):
         result.geodataframe()
+
+
+def test_nothing_loads_geopandas_before_it_is_needed() -> None:
+    code = "import boresight, sys; boresight.calibrate_vectors; print('geopandas' in sys.modules)"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "False\n"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import datetime
 import logging
 import os
 import pickle
@@ -19,7 +18,6 @@ import pandas as pd
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.time import Time
-from fixture_strips import FIXTURE, strip_of_fixture
 from scipy.spatial.transform import Rotation
 from seen_by_astropy import directions_by_astropy, frame_of, places_below, states_of
 from wrong_vectors import R_TRUE, SIGMA_C, SIGMA_S, Given, drawn_vectors, nees_of
@@ -37,7 +35,6 @@ class At(NamedTuple):
     result: bs.Calibration  # of these
     calibrated: bs.Calibration  # of a dump of one strip, read back
     dump: Path
-    of_june: Path  # another dump of one strip
     orbit: pd.DataFrame  # states of a satellite
     out: Path
 
@@ -84,8 +81,7 @@ def at(finished: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) ->
     given = drawn_vectors(np.random.default_rng(31), frames=4)
     orbit = states_of(finished[0])
     result, calibrated = bs.calibrate_vectors(*given), bs.read_result(finished[1])
-    out = tmp_path_factory.mktemp("tasks")
-    return At(given, result, calibrated, finished[0], strip_of_fixture(out / "june", 2), orbit, out)
+    return At(given, result, calibrated, finished[0], orbit, tmp_path_factory.mktemp("tasks"))
 
 
 def frames_of_unequal_length_with_one_sigma_a_vector(at: At) -> None:
@@ -210,6 +206,12 @@ def know_which_vectors_were_rejected(at: At) -> None:
     assert "that the other targets predict" in text
 
 
+def join_residuals_with_own_tables(at: At) -> None:
+    own = pd.DataFrame({"frame": np.repeat(range(4), 20), "target": np.tile(range(20), 4)})
+    joined = own.merge(at.result.residuals(), on=["frame", "target"])
+    assert len(joined) == 80 and np.isfinite(joined["residual_x_arcsec"]).all()
+
+
 def save_and_read_back(at: At) -> None:
     again = bs.read_result(at.result.save(at.out / "saved"))
     assert np.array_equal(again.theta, at.result.theta) and np.array_equal(
@@ -286,6 +288,13 @@ def the_same_bits_again_and_in_any_order_of_frames(at: At) -> None:
     assert same(bs.calibrate_vectors(*back), at.result)
 
 
+def numbers_for_a_paper(at: At) -> None:
+    table = at.result.table()
+    assert table["sigma_arcsec"].to_numpy() == pytest.approx(at.result.sigma_arcsec)
+    assert np.allclose(table[["correlation_x", "correlation_y", "correlation_z"]], table.iloc[:, 3:].T)
+    assert at.result.R_cs.as_quat().shape == (4,)
+
+
 def more_weight_by_leaving_a_frame_out(at: At) -> None:
     less = bs.what_if(at.result, {"0": np.inf})
     rest = bs.calibrate_vectors(*(part[1:] if isinstance(part, list) else part for part in at.given))
@@ -300,43 +309,6 @@ def a_result_of_a_dump_saved_elsewhere(at: At) -> None:
 def progress_of_a_dump(at: At) -> None:
     with pytest.raises(ValueError, match="progress: found 'bar'"):
         bs.calibrate(at.dump, progress="bar")  # type: ignore[arg-type]
-
-
-def use_some_strips_only_and_compare_with_a_simulated_truth(at: At) -> None:
-    result = bs.calibrate(FIXTURE, strips=["s01"])
-    assert result.targets["strip_id"].unique().tolist() == ["s01"]
-    assert "2 strips (not asked for)" in repr(result)
-    found = bs.validate(result, FIXTURE)
-    assert found.nees < 16.3 and len(repr(found).splitlines()) <= 25  # chi-square, 3 dof, 1 in 1000
-
-
-def calibrate_several_dumps_jointly(at: At) -> None:
-    joint = bs.calibrate([at.dump, at.of_june])
-    assert joint.dof > 30 and set(joint.targets["strip_id"]) == {"dump/s01", "june/s02"}
-    assert set(joint.residuals("stars")["dump"]) == {"dump", "june"}
-    assert joint.geolocate("s02", 0, 10.0, 20.0, dump=at.of_june)["lat_deg"].notna().all()
-    with pytest.raises(ValueError, match="out=FOLDER"):
-        joint.report(at.out / "joint.html")
-
-
-def measure_the_targets_of_a_strip(at: At) -> None:
-    assert len(bs.match_targets(at.dump, strips="s01")) == 12
-
-
-def look_into_a_dump(at: At) -> None:
-    dump = bs.open_dump(at.dump)
-    assert len(repr(dump).splitlines()) <= 25 and len(dump.strips) == 1
-
-
-def identify_stars_with_a_date_or_with_a_time_and_a_site(at: At) -> None:
-    stars, camera = bs.find_stars(at.dump / "exposures" / "e0001.png"), bs.open_dump(at.dump).star_camera
-    assert stars.table()["sigma_px"].between(0.001, 0.5).all()
-    plain = bs.identify(stars, camera=camera)
-    assert plain and {"hip", "ra_deg", "dec_deg", "residual_x_px"} <= set(plain.table().columns)
-    when = datetime.datetime(2024, 11, 20, 3, 40, 1, 600000, tzinfo=datetime.UTC)
-    for given in ({"time": when}, {"time": Time(when), "site": (48.1, 11.6, 500)}):
-        found = bs.identify(stars, camera=camera, **given)
-        assert found and 0.0 < (found.R_si * plain.R_si.inv()).magnitude() < 100 * ARCSEC  # aberration, air
 
 
 def a_height_with_its_unit(at: At) -> None:
@@ -359,6 +331,20 @@ def debug_lines_are_our_own(at: At) -> None:
 
 def two_results_of_one_mission_one_from_vectors(at: At) -> None:
     assert bs.compare(at.result, at.calibrated).differs
+
+
+def cut_a_result_by_hand(at: At) -> None:
+    bad = at.result.targets.nlargest(3, "statistic")
+    keep = [
+        [row for row in range(20) if (k, row) not in set(zip(bad["frame"], bad["target"]))] for k in range(4)
+    ]
+    cut = [[part[k][keep[k]] for k in range(4)] for part in (at.given.w_c, at.given.v_targets)]
+    assert right(bs.calibrate_vectors(*at.given[:3], *cut, *at.given[5:]))
+
+
+def show_it_in_a_notebook(at: At) -> None:
+    assert "<table" in at.result._repr_html_() and at.result.plot().get_legend() is not None
+    plt.close("all")
 
 
 def of_astropy(vectors: np.ndarray) -> object:

@@ -188,7 +188,9 @@ def states(finished: tuple[Path, Path]) -> pd.DataFrame:
         ({}, {"height": 9500.0}, "height_m"),
     ],
 )
-def test_a_mistake_in_places_or_orbit_is_named(states, of_states, of_places, message):
+def test_a_mistake_in_places_or_orbit_is_named(
+    states: pd.DataFrame, of_states: dict[str, Any], of_places: dict[str, Any], message: str
+) -> None:
     row = states.iloc[60]
     p = row[["x_m", "y_m", "z_m"]].to_numpy(float)
     lat, lon = np.degrees([np.arcsin(p[2] / np.linalg.norm(p)), np.arctan2(p[1], p[0])])

@@ -21,6 +21,7 @@ from boresight.geometry.geodesy import geodetic_from_ecef, unit_vectors
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
 from boresight.geometry.installation import theta_between
 from boresight.pipeline.calibration.calibrate import calibrate_dump
+from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.results.reading import read_saved_result
@@ -215,3 +216,14 @@ def test_targets_listed_under_several_ids_are_counted_once(one_strip, finished, 
     # The same sightings: what is given twice makes no matrix more certain, nor another one.
     assert np.array_equal(content["covariance_rad2"], once["covariance_rad2"])
     assert np.array_equal(content["R_cs"], once["R_cs"])
+
+
+def test_strip_without_targets_is_named_and_the_lack_is_told(one_strip: Path, tmp_path: Path) -> None:
+    lines = (one_strip / "targets.csv").read_text().splitlines()
+    far = lines[1].split(",")
+    far[1], far[2] = "-60.0", "10.0"
+    (one_strip / "targets.csv").write_text("\n".join([lines[0], ",".join(far)]) + "\n")
+    with pytest.raises(
+        DataNotSufficientError, match=r"14 exposures identified, 0 targets matched in 1 strips"
+    ):
+        calibrate_dump(open_dump(one_strip), Settings(), store_of(tmp_path), InOrder())
