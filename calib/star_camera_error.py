@@ -22,14 +22,8 @@ from boresight.records.record import Bools, Floats, Ints, Texts, array, record
 __all__ = ["PARTS", "StarEffects", "star_effects", "summed"]
 
 # Parts of the star camera's model whose errors are estimated, in the order of the columns.
-PARTS = (
-    "focal length",
-    "principal point, column",
-    "principal point, row",
-    "radial distortion",
-    "decentring, column",
-    "decentring, row",
-)
+SYMMETRIC = ("focal length", "principal point, column", "principal point, row", "radial distortion")
+PARTS = (*SYMMETRIC, "decentring, column", "decentring, row")
 PERCENT = 1e-2  # one hundredth: the unit in which errors of focal length and distortion are stated
 INFORMATIVE = 30.0  # chi-square by which a part of the model is taken to be wrong
 FARTHEST_RAD = 5e-3  # a star farther from its place is another one
