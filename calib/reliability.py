@@ -32,6 +32,7 @@ import numpy as np
 from scipy import sparse
 from scipy.special import chdtrc, chdtri
 
+from boresight.calib import joint_solution
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.finding import MOST_WORDS, Finding
 from boresight.calib.gross_errors import noncentrality_of
@@ -45,17 +46,6 @@ from boresight.calib.hypotheses import (
     HypothesisTable,
     MovedInput,
     hypotheses,
-)
-from boresight.calib.joint_solution import (
-    Posed,
-    Problem,
-    Step,
-    absorbed,
-    linearised,
-    respond,
-    solve_weighted,
-    squared_mahalanobis,
-    squared_over,
 )
 from boresight.calib.noise_groups import LEAST_FACTOR, NoiseGroup, noisiest
 from boresight.calib.settings import CalibrationSettings
@@ -190,8 +180,8 @@ class _Fit:
 class _Adjustment:
     """A calibration about its result, with the columns of all hypotheses."""
 
-    problem: Problem = scalar("strips of the calibration")
-    step: Step = scalar("with the weights of the estimate")
+    problem: joint_solution.Problem = scalar("strips of the calibration")
+    step: joint_solution.Step = scalar("with the weights of the estimate")
     of: HypothesisInputs = scalar("what the hypotheses are computed from")
     table: list[Hypothesis] = scalar("H hypotheses")
     B: sparse.csc_array = scalar(
@@ -206,16 +196,18 @@ class _Adjustment:
     limit: float = scalar("cost of a rejected observation")
     tolerated: float = scalar("factor of true over stated standard deviations")
 
-    def solved(self, weight: Floats) -> Step:
+    def solved(self, weight: Floats) -> joint_solution.Step:
         """The solution with other weights (J,)."""
-        return solve_weighted(self.problem, self.step.about, weight, self.step)
+        return joint_solution.solve_weighted(self.problem, self.step.about, weight, self.step)
 
-    def beside(self, step: Step, chosen: Sequence[int]) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    def beside(
+        self, step: joint_solution.Step, chosen: Sequence[int]
+    ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """Of every hypothesis beside a solution and the hypotheses `chosen`: information (H,) on its size,
         and the same with their sizes given, right-hand side (H,), and change of theta (H, T) by one unit and,
         in 1-sigma, its square (H,).
         """
-        given, with_chosen, x = absorbed(step, self.B, chosen)
+        given, with_chosen, x = joint_solution.absorbed(step, self.B, chosen)
         given, with_chosen = (
             given + np.diag(self.star_information),
             with_chosen + self.star_information[chosen],
@@ -295,7 +287,9 @@ def examine(
     weights = dict(zip(keys, found.weight.tolist()))
     columns = of.column("strip"), of.ground.target_id, of.ground.ccd, of.ground.xy_px[:, 0]
     weight = np.array([weights.get(key, 0.0) for key in zip(*(column.tolist() for column in columns))])
-    step = solve_weighted(problem, linearised(problem, estimate.R_cs), weight * problem.inside)
+    step = joint_solution.solve_weighted(
+        problem, joint_solution.linearised(problem, estimate.R_cs), weight * problem.inside
+    )
     table, across = table_of(of), step.across
     information, right = summed(effects)
     parts = np.array([h.star_part for h in table])
@@ -323,7 +317,7 @@ def examine(
 
 def _posed(
     estimate: InstallationEstimate, strips: Sequence[StripSightings], settings: CalibrationSettings
-) -> Posed:
+) -> joint_solution.Posed:
     """The problem that an estimate solves, or that its strips pose with what it does not contain."""
     known = estimate.posed
     if known and known.problem.settings is settings and len(known.strips) == len(strips):
@@ -332,7 +326,7 @@ def _posed(
     first = estimate.heads[0].R_cs
     alignment = {head.name: first.inv() * head.R_cs for head in estimate.heads}
     passes = aligned(passes_of(strips, settings.attitudes), alignment)
-    return Posed.of(strips, passes, settings, (), estimate.cameras, estimate.prior)
+    return joint_solution.Posed.of(strips, passes, settings, (), estimate.cameras, estimate.prior)
 
 
 def _columns(across: Floats, table: Sequence[Hypothesis]) -> sparse.csc_array:
@@ -381,7 +375,7 @@ def _of_bias(one: _Adjustment, estimate: InstallationEstimate) -> Iterator[Hypot
         return
     names = list(one.problem.shared.names)
     rows = [len(estimate.theta) + names.index(f"bias/{name}") for name in bias.names]
-    x = absorbed(one.step, one.B)[2]
+    x = joint_solution.absorbed(one.step, one.B)[2]
     weight = np.linalg.inv(bias.covariance + np.diag(bias.stated**2))
     limit = float(chdtri(len(rows), PROBABILITY_SUSPECT))
     before = float(bias.value @ weight @ bias.value)
@@ -505,7 +499,7 @@ def _likeliest(one: _Adjustment, chosen: Sequence[int], before: _Fit) -> list[in
     """
     inside, found = one.problem.inside, list[int]()
     plain = one.solved(before.kept.astype(float))
-    statistic = np.maximum(squared_mahalanobis(plain), 1e-9)
+    statistic = np.maximum(joint_solution.squared_mahalanobis(plain), 1e-9)
     soft = np.where(before.kept, 1.0, np.minimum(1.0, one.limit / statistic)) * inside
     for weight in (before.kept.astype(float), soft, inside.astype(float)):
         step = one.solved(weight)
@@ -545,7 +539,7 @@ def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> _Fit:
     step = one.solved(kept.astype(float))
     rejected = one.limit * float(np.sum(one.problem.inside & ~kept))
     B = one.B[:, rows].toarray()
-    left, x = respond(step, B.reshape(len(kept), 2, len(rows)))
+    left, x = joint_solution.respond(step, B.reshape(len(kept), 2, len(rows)))
     weighted = np.repeat(step.weight, 2)[:, None] * B
     S = weighted.T @ left.reshape(B.shape) + one.star_information[np.ix_(rows, rows)]
     y = weighted.T @ step.whitened.ravel() + one.star_right[rows]
@@ -562,7 +556,7 @@ def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> _Fit:
         step.solution.covariance + x @ of_sizes @ x.T,
         size,
         np.sqrt(np.maximum(np.diag(of_sizes), 0.0)),
-        squared_over(e, variance),
+        joint_solution.squared_over(e, variance),
         e,
         variance,
     )

@@ -29,13 +29,7 @@ from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.starlight import StarPlaces, SurveyedStars
 from boresight.geometry.terrain import ConstantHeight, TerrainGrid
 from boresight.records.record import record
-from boresight.simulator.cameras import (
-    calibrated_line_camera,
-    distorted_line_camera,
-    installation_of_scenario,
-    measured_installation,
-    star_camera,
-)
+from boresight.simulator import cameras, mission_records
 from boresight.simulator.ground import (
     CHIP_TILE,
     TILE,
@@ -46,18 +40,6 @@ from boresight.simulator.ground import (
     ProceduralGround,
 )
 from boresight.simulator.ground_targets import Placed, draw_check_points, place_targets
-from boresight.simulator.mission_records import (
-    Installation,
-    Mission,
-    RenderedExposure,
-    RenderedStrip,
-    StatedErrors,
-    TerrainReport,
-    TrueExposure,
-    TruePoint,
-    TrueStrip,
-    Truth,
-)
 from boresight.simulator.motion import TrueAttitude, flown_orbit, reported_orbit, scan_attitude, true_attitude
 from boresight.simulator.relief import relief_grid
 from boresight.simulator.rendered_stars import StarField, with_invented_stars
@@ -86,7 +68,7 @@ def render_mission(
     seed: int,
     ground_image: GroundImage | None = None,
     survey: SurveyedStars | None = None,
-) -> Mission:
+) -> mission_records.Mission:
     """A mission simulated from a scenario; equal seeds give equal bytes. `ValueError` if it is inconsistent.
 
     `stars` are all that are rendered, those unfit for calibration included; heights refer to `geoid`;
@@ -109,17 +91,17 @@ def render_mission(
     strips = len(plan.strip_ids) + len(scans)
     position_e = _rng(seed, "gps").standard_normal((strips, 3)) * scenario.errors.gps_m
     clock_s = _rng(seed, "clock").standard_normal(strips) * scenario.errors.clock_s
-    R_cs0 = measured_installation(scenario.installation)
+    R_cs0 = cameras.measured_installation(scenario.installation)
     # a strip's error of the receiver's ephemeris holds as far around it as the spacing allows, 6 s at most
     hold_s = 0.5 * plan.strip_s + min(6.0, 0.3 * (scenario.strips.spacing_s - plan.strip_s))
     middles = plan.strips_s + 0.5 * plan.strip_s
-    return Mission(
+    return mission_records.Mission(
         scenario=scenario,
         epoch=world.orbit.epoch,
         orbit=reported_orbit(world.orbit, plan.oem_s, middles, position_e, hold_s),
         star_camera=sky.camera,
-        line_camera=calibrated_line_camera(scenario.line_camera),
-        installation=Installation(R_cs0, np.array(scenario.installation.sigma_rad)),
+        line_camera=cameras.calibrated_line_camera(scenario.line_camera),
+        installation=mission_records.Installation(R_cs0, np.array(scenario.installation.sigma_rad)),
         errors=_stated(scenario),
         exposures=_exposures(scenario, plan, sky, scans, seed),
         strips=(
@@ -129,7 +111,7 @@ def render_mission(
         targets=tuple(item.target for item in targets),
         chips=tuple(item.chip for item in targets),
         terrain=terrain,
-        truth=Truth(
+        truth=mission_records.Truth(
             seed=seed,
             R_cs=world.attitude.R_cs,
             theta_rad=np.array(scenario.installation.theta_rad),
@@ -138,7 +120,12 @@ def render_mission(
             t_attitude_s=plan.attitude_s,
             R_ci=_attitudes(plan, world, scans),
             strips=tuple(
-                map(TrueStrip, (*plan.strip_ids, *(s.strip_id for s in scans)), clock_s.tolist(), position_e)
+                map(
+                    mission_records.TrueStrip,
+                    (*plan.strip_ids, *(s.strip_id for s in scans)),
+                    clock_s.tolist(),
+                    position_e,
+                )
             ),
             targets=tuple(point for item in targets for point in item.truth),
             check_points=tuple(checks),
@@ -209,11 +196,11 @@ class _World:
         start, stop = min(plan.oem_s[0], 0.0) - _EARTH_MARGIN_S, plan.oem_s[-1] + _EARTH_MARGIN_S
         earth = EarthRotation.over(plan.epoch, start - 5.0, stop + 5.0, table)
         orbit = flown_orbit(scenario.orbit, start - 4.0, stop + 4.0, earth)
-        R_cs = installation_of_scenario(scenario.installation)
+        R_cs = cameras.installation_of_scenario(scenario.installation)
         chance = _rng(seed, "attitude")
         attitude = true_attitude(scenario.attitude, scenario.errors, R_cs, orbit, earth, chance)
-        calibrated = calibrated_line_camera(scenario.line_camera)
-        camera = distorted_line_camera(calibrated, scenario.errors, _rng(seed, "distortion"))
+        calibrated = cameras.calibrated_line_camera(scenario.line_camera)
+        camera = cameras.distorted_line_camera(calibrated, scenario.errors, _rng(seed, "distortion"))
         return _World(earth, orbit, attitude, camera)
 
 
@@ -258,7 +245,7 @@ def _sky_scenes(
 
 def _sky_strips(
     scenario: Scenario, scans: list[SkyScene], clock_s: Array, seed: int
-) -> tuple[RenderedStrip, ...]:
+) -> tuple[mission_records.RenderedStrip, ...]:
     """Every CCD of every scan; the time of the first row on the camera's clock."""
     camera, settings, detector = scenario.line_camera, scenario.sky_strips, scenario.ground
     gains = _gains(scenario, seed)
@@ -271,7 +258,7 @@ def _sky_strips(
         return sky_strip(scans[n], ccd, detector, gains[ccd], hot[ccd], chance, rows)
 
     return tuple(
-        RenderedStrip(
+        mission_records.RenderedStrip(
             strip_id=scene.strip_id,
             ccd=ccd,
             lines=settings.lines,
@@ -289,7 +276,7 @@ def _sky_strips(
 
 def _scenes(
     scenario: Scenario, plan: _Plan, world: _World, geoid: Geoid, seed: int, ground_image: GroundImage | None
-) -> tuple[list[TrueScene], TerrainReport]:
+) -> tuple[list[TrueScene], mission_records.TerrainReport]:
     """The true geometry of each strip over the true terrain, and the terrain as the user gets it."""
     models = [
         Pushbroom(
@@ -318,7 +305,7 @@ def _scenes(
         scenes.append(TrueScene(model.tabulated(-64.0, last), surface, epsg, grounds[epsg], step))
     error = scenario.terrain.error_m * _rng(seed, "terrain error").standard_normal(heights.shape)
     reported = (heights + error).astype(np.float32)
-    return scenes, TerrainReport(reported, affine, scenario.terrain.error_m)
+    return scenes, mission_records.TerrainReport(reported, affine, scenario.terrain.error_m)
 
 
 def _ground_points(
@@ -328,10 +315,10 @@ def _ground_points(
     geoid: Geoid,
     seed: int,
     ground_image: GroundImage | None,
-) -> tuple[list[Placed], list[TruePoint]]:
+) -> tuple[list[Placed], list[mission_records.TruePoint]]:
     """Targets that some CCD sees, and check points, of all strips."""
     targets: list[Placed] = []
-    checks: list[TruePoint] = []
+    checks: list[mission_records.TruePoint] = []
     references: dict[int, BlurredGround] = {}
     lines = scenario.strips.lines
     for n, (strip_id, scene) in enumerate(zip(plan.strip_ids, scenes)):
@@ -365,7 +352,7 @@ def _seen_ground(
 
 
 def _star_field(scenario: Scenario, stars: StarPlaces, world: _World, seed: int) -> StarField:
-    camera = star_camera(scenario.star_camera)
+    camera = cameras.star_camera(scenario.star_camera)
     sky = scenario.sky
     shining = with_invented_stars(stars, sky, _rng(seed, "invented stars"))
     hot = hot_pixels(camera.width_px, camera.height_px, sky, _rng(seed, "hot pixels"))
@@ -381,7 +368,7 @@ def _seen_during(sky: StarField, scans: list[SkyScene], scan: int) -> StarField:
 
 def _exposures(
     scenario: Scenario, plan: _Plan, sky: StarField, scans: list[SkyScene], seed: int
-) -> tuple[RenderedExposure, ...]:
+) -> tuple[mission_records.RenderedExposure, ...]:
     duration = scenario.star_camera.exposure_s
 
     def render(n: int) -> NDArray[Any]:
@@ -389,14 +376,14 @@ def _exposures(
         return seen.image(float(plan.exposures_s[n]), duration, _rng(seed, "exposure", n))
 
     return tuple(
-        RenderedExposure(_exposure_id(n), float(t), duration, partial(render, n))
+        mission_records.RenderedExposure(_exposure_id(n), float(t), duration, partial(render, n))
         for n, t in enumerate(plan.exposures_s)
     )
 
 
 def _true_exposure(
     sky: StarField, scans: list[SkyScene], exposure_s: float, plan: _Plan, exposure_id: str
-) -> TrueExposure:
+) -> mission_records.TrueExposure:
     n = {_exposure_id(n): n for n in range(len(plan.exposures_s))}[exposure_id]
     seen = _seen_during(sky, scans, int(plan.scan_of[n]))
     return seen.truth(exposure_id, float(plan.exposures_s[n]), exposure_s)
@@ -408,7 +395,7 @@ def _exposure_id(n: int) -> str:
 
 def _strips(
     scenario: Scenario, plan: _Plan, scenes: list[TrueScene], targets: list[Placed], clock_s: Array, seed: int
-) -> tuple[RenderedStrip, ...]:
+) -> tuple[mission_records.RenderedStrip, ...]:
     """Every CCD of every strip; the time of the first row on the camera's clock."""
     camera, s, ground = scenario.line_camera, scenario.strips, scenario.ground
     gains = _gains(scenario, seed)
@@ -425,7 +412,7 @@ def _strips(
         return panels_near(places, s.only_around_targets_px, s.lines, camera.samples)
 
     return tuple(
-        RenderedStrip(
+        mission_records.RenderedStrip(
             strip_id=plan.strip_ids[n],
             ccd=ccd,
             lines=s.lines,
@@ -447,9 +434,9 @@ def _gains(scenario: Scenario, seed: int) -> list[NDArray[np.float32]]:
     return [(1.0 + sigma * each).astype(np.float32) for each in spread]
 
 
-def _stated(scenario: Scenario) -> StatedErrors:
+def _stated(scenario: Scenario) -> mission_records.StatedErrors:
     errors = scenario.errors
-    return StatedErrors(
+    return mission_records.StatedErrors(
         position_m=errors.gps_m,
         clock_s=errors.clock_s,
         vibration_arcsec=errors.vibration_arcsec,

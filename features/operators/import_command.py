@@ -10,20 +10,9 @@ from typing import Annotated, Literal
 
 import typer
 
+from boresight.features.operators import grid_command, point_import
 from boresight.features.operators.dimap_import import dimap_mission
-from boresight.features.operators.grid_command import (
-    Datastrip,
-    EarthOrientation,
-    GippFolder,
-    earth_orientation_of,
-)
 from boresight.features.operators.imported_mission import ImportedMission, write_imported
-from boresight.features.operators.point_import import (
-    PointErrors,
-    asp_images,
-    points_csv,
-    read_measured_points,
-)
 from boresight.features.operators.sentinel2_import import AttitudeLevel, sentinel2_mission
 from boresight.features.operators.sentinel2_product import BANDS, read_sentinel2
 from boresight.pipeline import __version__
@@ -50,9 +39,9 @@ ObjectId = Annotated[
 
 
 def import_sentinel2_command(
-    datastrip: Datastrip,
+    datastrip: grid_command.Datastrip,
     out: Out,
-    gipp: GippFolder,
+    gipp: grid_command.GippFolder,
     band: Annotated[
         list[str],
         typer.Option(help="B01 to B12, B8A, all; several times: a camera each.", autocompletion=among(BANDS)),
@@ -63,7 +52,7 @@ def import_sentinel2_command(
             help="raw: the star trackers; corrected: the operator's attitude; refined: with its refining."
         ),
     ] = "raw",
-    earth_orientation: EarthOrientation = None,
+    earth_orientation: grid_command.EarthOrientation = None,
     points: Points = None,
     object_id: ObjectId = "",
 ) -> Answer:
@@ -71,7 +60,7 @@ def import_sentinel2_command(
 
     Example: boresight import sentinel2 S2A_OPER_MTD_L1B_DS.xml b04 --gipp GIPP --band B04 --points gcps.csv
     """
-    table = earth_orientation_of(earth_orientation)
+    table = grid_command.earth_orientation_of(earth_orientation)
     names = BANDS if "all" in band else tuple(dict.fromkeys(band))
     bands = [read_sentinel2(datastrip, gipp, name) for name in names]
     mission = sentinel2_mission(bands, _creator("sentinel2"), attitudes=attitudes, earth_orientation=table)
@@ -108,14 +97,14 @@ def import_points_command(
         str | None, typer.Option(help="ASP: the image whose points are taken.", autocompletion=_images_of)
     ] = None,
     *,
-    errors: PointErrors,
+    errors: point_import.PointErrors,
 ) -> Answer:
     """Make a points.csv of image points that another program has measured.
 
     Example: boresight import points b04.points points.csv --strip b04 --height-m 12 --sigma-m 2 2 3
     """
-    found = read_measured_points(file, errors, image)
-    text = points_csv(found, strip, ccd, height_kind)
+    found = point_import.read_measured_points(file, errors, image)
+    text = point_import.points_csv(found, strip, ccd, height_kind)
     write_text(out, text)
     left = f", {found.n_disabled} marked as not to be used" if found.n_disabled else ""
     return Answer(text=f"{len(found.names)} points{left} -> {out}", files=(out,))
@@ -163,5 +152,5 @@ def _images_of(context: typer.Context, incomplete: str) -> list[str]:
     file = first_argument(context, "file")
     names: tuple[str, ...] = ()
     with suppress(RawDataError, OSError):
-        names = asp_images(Path(file)) if file else ()
+        names = point_import.asp_images(Path(file)) if file else ()
     return [name for name in names if name.startswith(incomplete)]

@@ -13,14 +13,8 @@ import tomlkit
 from numpy.typing import NDArray
 
 from boresight.accepted import counted
+from boresight.features.sky_images import identify_images
 from boresight.features.sky_images.frame_facts import SkyImage, open_sky_images
-from boresight.features.sky_images.identify_images import (
-    check_field,
-    read_camera,
-    read_sky_image,
-    sky_index,
-    with_unknown_time,
-)
 from boresight.features.sky_images.image_time import NOWHERE, Whereabouts
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.console.arguments import option
@@ -76,8 +70,8 @@ def calibrate_from_images(
     `sources` are image files and dumps (their exposures). An unreadable image is reported and not used;
     `RawDataError` for a drift of images without time.
     """
-    check_field(request.fov_deg)
-    given = read_camera(request.camera_file)
+    identify_images.check_field(request.fov_deg)
+    given = identify_images.read_camera(request.camera_file)
     sky = open_sky_images(sources, request.known)
     camera = given or (sky.camera if request.fov_deg is None else None)
     if request.drift and (timeless := [one.name for one in sky.images if one.observer is None]):
@@ -99,7 +93,7 @@ def calibrate_from_images(
     if read is None:
         return [*unused, "not calibrated: no image could be read"], False
     height, width = read[1].shape
-    index = sky_index(
+    index = identify_images.sky_index(
         None, float(np.degrees(camera.fov_x_rad)) if camera is not None else request.fov_deg, settings
     )
     if camera is None:
@@ -107,7 +101,9 @@ def calibrate_from_images(
         if isinstance(first, NotIdentified):
             return [*unused, f"no image was identified: {first.reason}"], False
         camera = first
-    result = calibrate_camera(frames, camera, index, with_unknown_time(settings), drift=request.drift)
+    result = calibrate_camera(
+        frames, camera, index, identify_images.with_unknown_time(settings), drift=request.drift
+    )
     if isinstance(result, NotIdentified):
         return [*unused, f"not calibrated: {result.reason}"], False
     result = replace(result, frames_refused=(*unread, *result.frames_refused))
@@ -143,7 +139,7 @@ def _image(
     one: SkyImage, given: StarCamera | None, camera_file: Path | None, first: tuple[str, NDArray[Any]] | None
 ) -> NDArray[Any]:
     """The image; `RawDataError` when its size differs from that of the first."""
-    image = read_sky_image(one.path, given, camera_file)
+    image = identify_images.read_sky_image(one.path, given, camera_file)
     if first is not None and image.shape != first[1].shape:
         found, expected = (f"{s[1]} x {s[0]} px" for s in (image.shape, first[1].shape))
         raise RawDataError(one.name, "image size", found, f"{expected}, as in {first[0]}")
