@@ -29,7 +29,7 @@ from boresight.pipeline.files.whole_file import make_own_folder, write_json
 from boresight.pipeline.report.dumps_page import write_dumps_report
 from boresight.pipeline.report.evidence import write_evidence, write_joint_evidence
 from boresight.pipeline.report.page import write_no_result, write_report
-from boresight.pipeline.results import summary
+from boresight.pipeline.results import summary, writing
 from boresight.pipeline.results.folder import DUMPS, begin_result, results_in, store_of
 from boresight.pipeline.results.identity import write_about
 from boresight.pipeline.results.ownership import claimed
@@ -42,12 +42,6 @@ from boresight.pipeline.results.requirement import (
     write_requirement,
 )
 from boresight.pipeline.results.status import kept_units, saved_omissions
-from boresight.pipeline.results.writing import (
-    write_installation,
-    write_joint_result,
-    write_run,
-    write_sightings,
-)
 from boresight.pipeline.run.cached import Progress
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.run_inputs import RunInputs, inputs_of
@@ -156,7 +150,7 @@ def run_dumps(out: Path, dumps: Sequence[NamedDump], request: RunRequest) -> Run
         text = summary.joint_summary(of_dumps, joint)
         if len({named.dump.root for named, _ in calibrated}) > 1 and len(joint.estimate.cameras) == 1:
             text = "\n".join([text, *(further(out, list(of_dumps)) for further in request.after_joint)])
-        write_joint_result(out, joint, of_dumps, request.settings)
+        writing.write_joint_result(out, joint, of_dumps, request.settings)
         places = {named.name: str(named.dump.root) for named in dumps}
         _note(out, request, {"dumps": places, "inputs": inputs.digest()})
         if request.report:
@@ -178,12 +172,12 @@ def _calibrated(
         if request.report:
             write_no_result(out, dump, error)
         raise
-    write = partial(write_sightings, out, found)
+    write = partial(writing.write_sightings, out, found)
     if request.report:
         write_evidence(out, dump, found, request.settings, request.executor, [write])
     else:
         write()
-    write_installation(out, found, request.settings)
+    writing.write_installation(out, found, request.settings)
     counts = {"units_made": found.n_computed, "units_found": found.n_reused}
     _note(out, request, {"dump": named, "inputs": inputs.digest()}, counts)
     if request.report:
@@ -237,4 +231,4 @@ def _note(
         "finished_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         "elapsed_s": time.perf_counter() - request.begun_s,
     }
-    write_run(out, dumps | times | (counts or {}) | request.facts)
+    writing.write_run(out, dumps | times | (counts or {}) | request.facts)

@@ -23,13 +23,8 @@ from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.whole_file import write_figure, write_text
 from boresight.pipeline.report.panels import GREY, panels
 from boresight.records.record import record, scalar
-from boresight.star_id.camera_calibration import (
-    CameraCalibration,
-    ResidualMap,
-    SkyFrame,
-    calibrate_camera,
-    residual_map,
-)
+from boresight.star_id import camera_calibration
+from boresight.star_id.camera_calibration import CameraCalibration, ResidualMap, SkyFrame
 from boresight.star_id.camera_fit import detector_grid
 from boresight.star_id.field import nominal_camera, solve_stars
 from boresight.star_id.finding.star_list import list_stars
@@ -101,7 +96,7 @@ def calibrate_from_images(
         if isinstance(first, NotIdentified):
             return [*unused, f"no image was identified: {first.reason}"], False
         camera = first
-    result = calibrate_camera(
+    result = camera_calibration.calibrate_camera(
         frames, camera, index, identify_images.with_unknown_time(settings), drift=request.drift
     )
     if isinstance(result, NotIdentified):
@@ -127,7 +122,7 @@ def _write(result: CameraCalibration, request: CameraRequest, bit_depth: int) ->
     if result.explained:
         table = tomlkit.dumps(star_camera_table(result.camera, bit_depth))
         write_text(request.out, table)
-    cells = residual_map(result)
+    cells = camera_calibration.residual_map(result)
     if request.report is not None:
         content = json.dumps(_report(result, cells), indent=1, allow_nan=False)
         write_text(request.report, content + "\n")
