@@ -13,6 +13,7 @@ from boresight.features.operators.dimap_grid import dimap_grid_differences, plac
 from boresight.features.operators.sentinel2_grid import read_grid_rows, sentinel2_grid_differences
 from boresight.features.operators.sentinel2_product import BANDS, read_sentinel2
 from boresight.geometry.earth_orientation import EarthOrientationTable
+from boresight.pipeline.console.arguments import option
 from boresight.pipeline.console.completion import among
 from boresight.pipeline.console.messages import DONE, LIMIT_MISSED, Answer, print_data, say
 from boresight.pipeline.files.dimap_metadata import operator_model
@@ -61,11 +62,9 @@ def earth_orientation_of(file: Path | None) -> EarthOrientationTable | None:
 
 def dimap_command(
     product: Annotated[Path, typer.Argument(metavar="FILE", help="Pleiades metadata: DIM or PHRDIMAP XML.")],
-    pixels: Annotated[Path | None, typer.Option(help="CSV file with the columns ccd, sample, line.")] = None,
-    height_m: Annotated[float, typer.Option(help="Ellipsoidal height of the ground for --pixels.")] = 0.0,
-    grid: Annotated[
-        Path | None, typer.Option(help="Operator's location grid, GRID_*.tif, to compare.")
-    ] = None,
+    pixels: Path | None = option("CSV file with the columns ccd, sample, line."),
+    height_m: float = option("Ellipsoidal height of the ground for --pixels.", 0.0),
+    grid: Path | None = option("Operator's location grid, GRID_*.tif, to compare."),
     limit_m: Limit = 0.01,
 ) -> Answer:
     """Geolocate pixels of a Pleiades strip, or check its model against the operator's location grid.

@@ -16,6 +16,7 @@ from boresight.features.operators.imported_mission import ImportedMission, write
 from boresight.features.operators.sentinel2_import import AttitudeLevel, sentinel2_mission
 from boresight.features.operators.sentinel2_product import BANDS, read_sentinel2
 from boresight.pipeline import __version__
+from boresight.pipeline.console.arguments import option
 from boresight.pipeline.console.completion import among, ccds_of, first_argument, strips_of
 from boresight.pipeline.console.messages import Answer, say, wrong_usage
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
@@ -46,12 +47,9 @@ def import_sentinel2_command(
         list[str],
         typer.Option(help="B01 to B12, B8A, all; several times: a camera each.", autocompletion=among(BANDS)),
     ],
-    attitudes: Annotated[
-        AttitudeLevel,
-        typer.Option(
-            help="raw: the star trackers; corrected: the operator's attitude; refined: with its refining."
-        ),
-    ] = "raw",
+    attitudes: AttitudeLevel = option(
+        "raw: the star trackers; corrected: the operator's attitude; refined: with its refining.", "raw"
+    ),
     earth_orientation: grid_command.EarthOrientation = None,
     points: Points = None,
     object_id: ObjectId = "",
@@ -83,19 +81,24 @@ def import_dimap_command(
     return _written(out, dimap_mission(operator_model(product), _creator("dimap")), points, object_id)
 
 
+def _images_of(context: typer.Context, incomplete: str) -> list[str]:
+    """Names of the images in ASP's file of points."""
+    file = first_argument(context, "file")
+    names: tuple[str, ...] = ()
+    with suppress(RawDataError, OSError):
+        names = point_import.asp_images(Path(file)) if file else ()
+    return [name for name in names if name.startswith(incomplete)]
+
+
 def import_points_command(
     file: Annotated[Path, typer.Argument(help="QGIS .points, ASP .gcp, or a GeoTIFF with GCPs.")],
     out: Annotated[Path, typer.Argument(help="The points.csv to be written.")],
     strip: Annotated[
         str, typer.Option(help="Id of the strip in which they are measured.", autocompletion=strips_of)
     ],
-    ccd: Annotated[int, typer.Option(help="Its CCD, from 0.", min=0, max=63, autocompletion=ccds_of)] = 0,
-    height_kind: Annotated[
-        Literal["ellipsoidal", "egm96"], typer.Option(help="What the heights are above.")
-    ] = "ellipsoidal",
-    image: Annotated[
-        str | None, typer.Option(help="ASP: the image whose points are taken.", autocompletion=_images_of)
-    ] = None,
+    ccd: int = option("Its CCD, from 0.", 0, min=0, max=63, autocompletion=ccds_of),
+    height_kind: Literal["ellipsoidal", "egm96"] = option("What the heights are above.", "ellipsoidal"),
+    image: str | None = option("ASP: the image whose points are taken.", autocompletion=_images_of),
     *,
     errors: point_import.PointErrors,
 ) -> Answer:
@@ -145,12 +148,3 @@ def _noise_of(dump: Path, mission: ImportedMission) -> list[str]:
             return [f"noise of {' and '.join(found.names)} {said}"]
     say(f"noise of the heads: white noise is ASSUMED in dump.toml ({why}); state it in [star_cameras.noise]")
     return []
-
-
-def _images_of(context: typer.Context, incomplete: str) -> list[str]:
-    """Names of the images in ASP's file of points."""
-    file = first_argument(context, "file")
-    names: tuple[str, ...] = ()
-    with suppress(RawDataError, OSError):
-        names = point_import.asp_images(Path(file)) if file else ()
-    return [name for name in names if name.startswith(incomplete)]

@@ -14,6 +14,7 @@ from boresight.features.paper.paper_page import run_all
 from boresight.features.paper.pixels import PixelSettings
 from boresight.features.paper.tables import EXPERIMENTS, FROM_PIXELS, run_experiment
 from boresight.features.paper.vector_experiments import ExperimentSettings
+from boresight.pipeline.console.arguments import option
 from boresight.pipeline.console.messages import Answer, wrong_usage
 from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.report.page_template import template
@@ -26,12 +27,9 @@ def experiment_command(
         str, typer.Argument(help=f"{', '.join(EXPERIMENTS)}; or all.", autocompletion=_experiments)
     ],
     out: Annotated[Path, typer.Option(help="Folder for NAME.csv, .png and .txt; all: also paper.html.")],
-    runs: Annotated[
-        int | None,
-        typer.Option(help="Runs per cell; default 200 (Wang 40, table5 20, pixels 2 or 20).", min=1),
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0)] = 2020,
-    pixels: Annotated[bool, typer.Option("--pixels", help="From rendered images: grid, table4.")] = False,
+    runs: int | None = option("Runs per cell; default 200 (Wang 40, table5 20, pixels 2 or 20).", min=1),
+    seed: int = option("Seed of all random numbers.", 2020, min=0),
+    pixels: bool = option("From rendered images: grid, table4.", False, "--pixels"),
 ) -> Answer:
     """Run a simulation of the paper from scratch, with its printed values beside ours.
 

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from boresight.features.sky_images import options
 from boresight.features.sky_images.identify_images import Request, identify_images, own_name, read_camera
 from boresight.features.sky_images.image_time import Whereabouts
 from boresight.pipeline.console import messages
-from boresight.pipeline.console.arguments import SettingsFile
+from boresight.pipeline.console.arguments import SettingsFile, option
 from boresight.pipeline.files.text_tables import csv_line, table_csv
 
 __all__ = ["identify_command"]
@@ -29,29 +26,24 @@ def identify_command(
     camera: options.CameraFile = None,
     fov: options.Fov = None,
     dark: options.Dark = None,
-    size: Annotated[
-        tuple[int, int] | None,
-        typer.Option(help="Of the images of a CSV file, px, without --camera.", metavar="WIDTH HEIGHT"),
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object a line on stdout.")] = False,
-    as_csv: Annotated[bool, typer.Option("--csv", help="One CSV row a line on stdout.")] = False,
-    as_fits: Annotated[
-        bool, typer.Option("--fits", help="Write NAME.wcs.fits here: a TAN-SIP header and the named stars.")
-    ] = False,
-    overlay: Annotated[Path | None, typer.Option(help="PNG of the image with its stars named.")] = None,
-    report: Annotated[
-        Path | None, typer.Option(help="HTML page: detections by kind, PSF, noise, stars, identified or not.")
-    ] = None,
+    size: tuple[int, int] | None = option(
+        "Of the images of a CSV file, px, without --camera.", metavar="WIDTH HEIGHT"
+    ),
+    as_json: bool = option("One JSON object a line on stdout.", False, "--json"),
+    as_csv: bool = option("One CSV row a line on stdout.", False, "--csv"),
+    as_fits: bool = option(
+        "Write NAME.wcs.fits here: a TAN-SIP header and the named stars.", False, "--fits"
+    ),
+    overlay: Path | None = option("PNG of the image with its stars named."),
+    report: Path | None = option("HTML page: detections by kind, PSF, noise, stars, identified or not."),
     times: options.Times = None,
     orbit: options.OrbitFile = None,
     site: options.Site = None,
-    sequence: Annotated[
-        bool, typer.Option("--sequence", help="Frames in the order of time: each is predicted by the last.")
-    ] = False,
-    interval: Annotated[float, typer.Option(help="With --sequence: s from frame to frame.")] = 0.1,
-    exposure: Annotated[
-        float | None, typer.Option(help="With --sequence: exposure time, s; predicts trails of stars.")
-    ] = None,
+    sequence: bool = option(
+        "Frames in the order of time: each is predicted by the last.", False, "--sequence"
+    ),
+    interval: float = option("With --sequence: s from frame to frame.", 0.1),
+    exposure: float | None = option("With --sequence: exposure time, s; predicts trails of stars."),
     settings: SettingsFile = None,
 ) -> messages.Answer:
     """Name the stars of single images, with no idea where they look; with --sequence track them.

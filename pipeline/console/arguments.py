@@ -26,8 +26,8 @@ __all__ = [
 
 
 def option(help_text: str, default: Any = None, *names: str, **how: Any) -> Any:
-    """A field of a record that is an option of the command that takes the record: `names` (or its own name),
-    and what `typer.Option` accepts.
+    """An option of a command, as the default of its parameter, or as a field of a record that it takes:
+    `names` (or its own name), and what `typer.Option` accepts.
     """
     stated = {"meaning": help_text, "option": typer.Option(*names, help=help_text, **how)}
     return dataclasses.field(default=default, metadata=stated)

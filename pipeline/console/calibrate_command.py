@@ -19,6 +19,7 @@ import typer
 from boresight.calib.verdict import Outcome
 from boresight.pipeline import __version__, calibration_run
 from boresight.pipeline.console import arguments, messages
+from boresight.pipeline.console.arguments import option
 from boresight.pipeline.console.feature import hooks_of
 from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.results.requirement import Requirement
@@ -47,25 +48,6 @@ ResultFolder = Annotated[
         metavar="PATH",
     ),
 ]
-Workers = Annotated[
-    int | None,
-    typer.Option(help="Processes on this machine; default: one a core, one for a small dump.", min=1),
-]
-Scheduler = Annotated[str | None, typer.Option(help="Address of a dask scheduler instead (docs/cluster.md).")]
-WorkerTimeout = Annotated[
-    float | None, typer.Option(help="Longest wait for a usable worker of the scheduler, s.", min=0.0)
-]
-WithReport = Annotated[bool, typer.Option(help="Write report.html at the end.")]
-Accept = Annotated[
-    list[messages.Accepted] | None,
-    typer.Option(help="Do not fail for this: exit with 0. May be given several times."),
-]
-Overwrite = Annotated[
-    bool, typer.Option("--overwrite", help="Replace a result of another dump or of other settings.")
-]
-Archive = Annotated[
-    Path | None, typer.Option(help="Add the result to the archive of a mission in this folder (`trends`).")
-]
 
 
 def calibrate_command(
@@ -73,17 +55,21 @@ def calibrate_command(
     dumps: arguments.DumpsArgument,
     out: ResultFolder,
     settings: arguments.SettingsFile = None,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    worker_timeout: WorkerTimeout = None,
+    workers: int | None = option(
+        "Processes on this machine; default: one a core, one for a small dump.", min=1
+    ),
+    scheduler: str | None = option("Address of a dask scheduler instead (docs/cluster.md)."),
+    worker_timeout: float | None = option("Longest wait for a usable worker of the scheduler, s.", min=0.0),
     allow_stale_eop: arguments.StaleEop = False,
-    report: WithReport = True,
+    report: bool = option("Write report.html at the end.", True),
     require_arcsec: arguments.RequireArcsec = None,
     require_m: arguments.RequireMetres = None,
     about: arguments.AboutFile = None,
-    accept: Accept = None,
-    overwrite: Overwrite = False,
-    archive: Archive = None,
+    accept: list[messages.Accepted] | None = option(
+        "Do not fail for this: exit with 0. May be given several times."
+    ),
+    overwrite: bool = option("Replace a result of another dump or of other settings.", False, "--overwrite"),
+    archive: Path | None = option("Add the result to the archive of a mission in this folder (`trends`)."),
 ) -> messages.Answer:
     """Estimate the installation matrix of a dump from raw images; of several dumps, of each and of all; of
     several cameras, of each.
