@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from boresight.features.interior.interior_files import interior_json, interior_lines, write_interior
 from boresight.features.interior.interior_of_dumps import calibrate_remote_camera
 from boresight.features.interior.interior_parameters import InteriorPriors
-from boresight.pipeline.console.arguments import SettingsFile, option
+from boresight.pipeline.console.arguments import SettingsFile, argument, option
 from boresight.pipeline.console.messages import Answer
 from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.files.object_store import dump_folder
@@ -21,15 +18,10 @@ __all__ = ["remote_camera_calibrate_command"]
 
 
 def remote_camera_calibrate_command(
-    sources: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RESULT|DUMP",
-            parser=dump_folder,
-            help="Dumps of one camera, or what `calibrate` made of them.",
-        ),
-    ],
-    out: Annotated[Path, typer.Option(help="Folder for remote_camera.toml, interior.json and interior.png.")],
+    sources: list[Path] = argument(
+        "Dumps of one camera, or what `calibrate` made of them.", metavar="RESULT|DUMP", parser=dump_folder
+    ),
+    out: Path = option("Folder for remote_camera.toml, interior.json and interior.png.", ...),
     settings: SettingsFile = None,
     curve_px: float = option("Prior 1-sigma of the distortion that the table leaves, px.", 3.0, min=1e-3),
     curve_length_px: float = option("Length over which that distortion changes, px.", 5000.0, min=10.0),

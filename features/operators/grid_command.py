@@ -89,9 +89,7 @@ def sentinel2_command(
     datastrip: Datastrip,
     gipp: GippFolder,
     band: Annotated[str, typer.Option(help="B01 to B12, B8A.", autocompletion=among(BANDS))],
-    grid: Annotated[
-        Path, typer.Option(help="Its location grid: CSV of detector, line, sample, lon, lat, alt.")
-    ],
+    grid: Path = option("Its location grid: CSV of detector, line, sample, lon, lat, alt.", ...),
     earth_orientation: EarthOrientation = None,
     limit_m: Limit = 0.02,
 ) -> Answer:

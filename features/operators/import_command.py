@@ -43,10 +43,9 @@ def import_sentinel2_command(
     datastrip: grid_command.Datastrip,
     out: Out,
     gipp: grid_command.GippFolder,
-    band: Annotated[
-        list[str],
-        typer.Option(help="B01 to B12, B8A, all; several times: a camera each.", autocompletion=among(BANDS)),
-    ],
+    band: list[str] = option(
+        "B01 to B12, B8A, all; several times: a camera each.", ..., autocompletion=among(BANDS)
+    ),
     attitudes: AttitudeLevel = option(
         "raw: the star trackers; corrected: the operator's attitude; refined: with its refining.", "raw"
     ),
@@ -93,9 +92,7 @@ def _images_of(context: typer.Context, incomplete: str) -> list[str]:
 def import_points_command(
     file: Annotated[Path, typer.Argument(help="QGIS .points, ASP .gcp, or a GeoTIFF with GCPs.")],
     out: Annotated[Path, typer.Argument(help="The points.csv to be written.")],
-    strip: Annotated[
-        str, typer.Option(help="Id of the strip in which they are measured.", autocompletion=strips_of)
-    ],
+    strip: str = option("Id of the strip in which they are measured.", ..., autocompletion=strips_of),
     ccd: int = option("Its CCD, from 0.", 0, min=0, max=63, autocompletion=ccds_of),
     height_kind: Literal["ellipsoidal", "egm96"] = option("What the heights are above.", "ellipsoidal"),
     image: str | None = option("ASP: the image whose points are taken.", autocompletion=_images_of),

@@ -6,12 +6,11 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
 from boresight.pipeline import __version__
-from boresight.pipeline.console.arguments import option
+from boresight.pipeline.console.arguments import argument, option
 from boresight.pipeline.console.completion import among, first_argument
 from boresight.pipeline.console.messages import Answer, wrong_usage
 from boresight.pipeline.console.progress import progress_bars
@@ -43,14 +42,10 @@ def _settings_of(context: typer.Context, incomplete: str) -> list[str]:
 
 
 def simulate_command(
-    scenario: Annotated[
-        str,
-        typer.Argument(
-            help="mini, paper, sky, or the path of a TOML file.",
-            autocompletion=among(builtin_scenario_names()),
-        ),
-    ],
-    out: Annotated[Path, typer.Argument(help="Folder to be made; must not exist or be empty.")],
+    scenario: str = argument(
+        "mini, paper, sky, or the path of a TOML file.", autocompletion=among(builtin_scenario_names())
+    ),
+    out: Path = argument("Folder to be made; must not exist or be empty."),
     seed: int = option("Seed of all random numbers.", 1, min=0),
     set_: list[str] | None = option(
         "Change one setting: strips.count=5. May be repeated.", None, "--set", autocompletion=_settings_of

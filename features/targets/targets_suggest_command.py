@@ -13,7 +13,7 @@ from boresight.features.targets.ortho_files import HeightModel, open_raster, rea
 from boresight.features.targets.stac_items import StacQuery, stac_images
 from boresight.features.targets.suggestions import SuggestRequest, suggest_in, suggestion_lines, write_targets
 from boresight.geometry.terrain import ConstantHeight
-from boresight.pipeline.console.arguments import option
+from boresight.pipeline.console.arguments import argument, option
 from boresight.pipeline.console.messages import Answer, say, wrong_usage
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.object_store import dump_folder
@@ -24,14 +24,12 @@ __all__ = ["targets_suggest_command"]
 
 def targets_suggest_command(
     out: Annotated[Path, typer.Option(help="Folder for chips/ and targets.csv.")],
-    orthos: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            metavar="ORTHO",
-            parser=dump_folder,
-            help="GeoTIFF, COG or VRT with a map, or an address; where two overlap: two dates.",
-        ),
-    ] = None,
+    orthos: list[Path] | None = argument(
+        "GeoTIFF, COG or VRT with a map, or an address; where two overlap: two dates.",
+        None,
+        metavar="ORTHO",
+        parser=dump_folder,
+    ),
     stac: Path | None = option(
         "A STAC catalogue or API, for its images.", metavar="PATH", parser=dump_folder
     ),

@@ -21,6 +21,7 @@ __all__ = [
     "ResultArgument",
     "SettingsFile",
     "StaleEop",
+    "argument",
     "option",
 ]
 
@@ -31,6 +32,11 @@ def option(help_text: str, default: Any = None, *names: str, **how: Any) -> Any:
     """
     stated = {"meaning": help_text, "option": typer.Option(*names, help=help_text, **how)}
     return dataclasses.field(default=default, metadata=stated)
+
+
+def argument(help_text: str, default: Any = ..., **how: Any) -> Any:
+    """An argument of a command, as the default of its parameter, and what `typer.Argument` accepts."""
+    return dataclasses.field(default=default, metadata={"option": typer.Argument(help=help_text, **how)})
 
 
 AboutFile = Annotated[

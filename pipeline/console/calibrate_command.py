@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
@@ -40,20 +39,15 @@ def _folder(text: str) -> Path:
     return Path(text)
 
 
-ResultFolder = Annotated[
-    Path,
-    typer.Option(
-        help="Folder of the result: new, empty, or that of a run to be resumed.",
-        parser=_folder,
-        metavar="PATH",
-    ),
-]
-
-
 def calibrate_command(
     context: typer.Context,
     dumps: arguments.DumpsArgument,
-    out: ResultFolder,
+    out: Path = option(
+        "Folder of the result: new, empty, or that of a run to be resumed.",
+        ...,
+        parser=_folder,
+        metavar="PATH",
+    ),
     settings: arguments.SettingsFile = None,
     workers: int | None = option(
         "Processes on this machine; default: one a core, one for a small dump.", min=1

@@ -26,14 +26,12 @@ __all__ = ["validate_command"]
 
 def validate_command(
     result: Annotated[Path, typer.Argument(help="Folder that `calibrate` wrote.")],
-    dump: Annotated[
-        Path,
-        typer.Option(
-            parser=dump_folder,
-            metavar="PATH",
-            help="The simulated dump it was made from, with its truth/ folder.",
-        ),
-    ],
+    dump: Path = option(
+        "The simulated dump it was made from, with its truth/ folder.",
+        ...,
+        parser=dump_folder,
+        metavar="PATH",
+    ),
     camera: CameraOption = "",
     max_error_sigma: float | None = option(
         "Limit: error of each axis over its stated sigma, at most.", min=0.0
