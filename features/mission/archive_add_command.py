@@ -1,7 +1,5 @@
 """`boresight archive add`: finished results into the archive of a mission."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from boresight.features.mission.archive import add_results

@@ -2,8 +2,6 @@
 pixels of a strip in DIMAP to places.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

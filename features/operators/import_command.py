@@ -1,7 +1,5 @@
 """`boresight import`: dumps and points of an operator's own files."""
 
-from __future__ import annotations
-
 import csv
 import re
 from contextlib import suppress

@@ -4,8 +4,6 @@ The simulations are in `vector_experiments`, `geometry_search` and `pixels`; sta
 Hipparcos.
 """
 
-from __future__ import annotations
-
 import datetime
 import os
 import platform

@@ -1,7 +1,5 @@
 """`boresight plan`: what a campaign will reach."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

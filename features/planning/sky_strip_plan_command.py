@@ -1,7 +1,5 @@
 """`boresight sky-strip-plan`: scans of the sky to take."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
 

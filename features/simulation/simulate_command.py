@@ -1,7 +1,5 @@
 """`boresight simulate`: a mission with known truth as a dump."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """`boresight centroids`: the stars of images found and measured; with a truth, how well."""
 
-from __future__ import annotations
-
 import time
 
 from boresight.features.sky_images.centroid_report import ScoreRequest, centroid_limits, score_images

@@ -1,7 +1,5 @@
 """`boresight star-camera-plan`: fields of the sky that calibrate a star camera best."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

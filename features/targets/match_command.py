@@ -1,7 +1,5 @@
 """`boresight match`: a dump's targets found in its strips."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

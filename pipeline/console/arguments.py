@@ -1,7 +1,5 @@
 """Arguments and options of several commands, and of records whose fields are options."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Annotated, Any
