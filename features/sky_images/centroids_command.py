@@ -1,10 +1,11 @@
 """`boresight centroids`: the stars of images found and measured; with a truth, how well."""
 
 import time
+from pathlib import Path
 
 from boresight.features.sky_images.centroid_report import ScoreRequest, centroid_limits, score_images
-from boresight.features.sky_images.options import Images, star_settings
-from boresight.pipeline.console.arguments import SettingsFile, option
+from boresight.features.sky_images.options import star_settings
+from boresight.pipeline.console.arguments import SettingsFile, argument, option
 from boresight.pipeline.console.limit_options import JunitFile, held
 from boresight.pipeline.console.messages import Answer, tell, wrong_usage
 
@@ -12,7 +13,7 @@ __all__ = ["centroids_command"]
 
 
 def centroids_command(
-    images: Images,
+    images: list[Path] = argument("Star images: PNG, TIFF, FITS, JPEG or BMP."),
     *,
     asked: ScoreRequest,
     max_x_bound: float | None = option("Limit: rms error over the Cramér-Rao bound, at most.", min=0.0),

@@ -7,7 +7,7 @@ from boresight.features.sky_images import options
 from boresight.features.sky_images.identify_images import Request, identify_images, own_name, read_camera
 from boresight.features.sky_images.image_time import Whereabouts
 from boresight.pipeline.console import messages
-from boresight.pipeline.console.arguments import SettingsFile, option
+from boresight.pipeline.console.arguments import SettingsFile, argument, option
 from boresight.pipeline.files.text_tables import csv_line, table_csv
 
 __all__ = ["identify_command"]
@@ -20,7 +20,7 @@ FIELDS = (
 
 
 def identify_command(
-    images: options.ImagesOrLists,
+    images: list[Path] = argument("Star images, or CSV files of `centroids --out`, with --camera or --size."),
     camera: options.CameraFile = None,
     fov: options.Fov = None,
     dark: options.Dark = None,

@@ -67,6 +67,9 @@ def write_dump(mission: mission_records.Mission, root: Path, *, created_by: str,
     write_toml(root / "dump.toml", _head(mission, created_by))  # last: a dump with a dump.toml is complete
 
 
+OF_ERRORS = ("position_m", "clock_s", "vibration_arcsec", "look_distortion_px")  # as records have them, too
+
+
 def _head(mission: mission_records.Mission, created_by: str) -> dict[str, Any]:
     errors, terrain = mission.errors, mission.terrain
     of_ground = {"targets": "targets.csv", "terrain": "terrain/dem.tif"} if terrain is not None else {}
@@ -76,10 +79,7 @@ def _head(mission: mission_records.Mission, created_by: str) -> dict[str, Any]:
         **head_of_dump(mission.scenario.name, created_by),
         "files": FILES | of_ground,
         "errors": {
-            "position_m": errors.position_m,
-            "clock_s": errors.clock_s,
-            "vibration_arcsec": errors.vibration_arcsec,
-            "look_distortion_px": errors.look_distortion_px,
+            **{name: getattr(errors, name) for name in OF_ERRORS},
             "look_distortion_length_px": mission.scenario.errors.distortion_length_px,
             **of_ccds,
         },
