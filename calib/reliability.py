@@ -32,21 +32,11 @@ import numpy as np
 from scipy import sparse
 from scipy.special import chdtrc, chdtri
 
-from boresight.calib import joint_solution
+from boresight.calib import hypotheses, joint_solution
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.finding import MOST_WORDS, Finding
 from boresight.calib.gross_errors import noncentrality_of
 from boresight.calib.heads import aligned
-from boresight.calib.hypotheses import (
-    POSITION,
-    STABILITY,
-    USUAL,
-    Hypothesis,
-    HypothesisInputs,
-    HypothesisTable,
-    MovedInput,
-    hypotheses,
-)
 from boresight.calib.noise_groups import LEAST_FACTOR, NoiseGroup, noisiest
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import moved_in_passes, passes_of
@@ -146,7 +136,7 @@ class Reliability:
     tests: tuple[HypothesisTest, ...] = scalar("every hypothesis, in the order of the table")
     findings: tuple[Finding, ...] = scalar("causes, the one of most evidence first")
     suspects: tuple[Contradiction, ...] = scalar("observations farther off than any of so many good ones")
-    of_bias: tuple[Hypothesis, ...] = scalar(
+    of_bias: tuple[hypotheses.Hypothesis, ...] = scalar(
         "those about the ground, of a largest possible size, that explain its bias", default=()
     )
     rest: tuple[float, int] | None = scalar(
@@ -182,8 +172,8 @@ class _Adjustment:
 
     problem: joint_solution.Problem = scalar("strips of the calibration")
     step: joint_solution.Step = scalar("with the weights of the estimate")
-    of: HypothesisInputs = scalar("what the hypotheses are computed from")
-    table: list[Hypothesis] = scalar("H hypotheses")
+    of: hypotheses.HypothesisInputs = scalar("what the hypotheses are computed from")
+    table: list[hypotheses.Hypothesis] = scalar("H hypotheses")
     B: sparse.csc_array = scalar(
         "change (2 J, H) of the whitened residuals, two a target, by one unit of each"
     )
@@ -246,11 +236,11 @@ def examine(
     *,
     pixel_rad: float | Mapping[str, float],
     star_camera: StarCamera | None = None,
-    inputs: Sequence[MovedInput] = (),
+    inputs: Sequence[hypotheses.MovedInput] = (),
     pivots: Mapping[tuple[str, int], float] | None = None,
     target_files: str = "targets.csv",
     sigma_understated: float = 1.1,
-    table_of: HypothesisTable = hypotheses,
+    table_of: hypotheses.HypothesisTable = hypotheses.hypotheses,
 ) -> Reliability:
     """Every hypothesis held against a calibration, the `estimate` of `calibrate_strips` by `settings`: the
     tests at its weights, and at most three causes.
@@ -269,7 +259,7 @@ def examine(
     passes = [posed.passes[n] for n in problem.members]
     prepared = [posed.prepared[n] for n in problem.members]
     effects = star_effects(passes, star_camera, limit) if star_camera else []
-    of = HypothesisInputs(
+    of = hypotheses.HypothesisInputs(
         prepared,
         estimate.R_cs,
         [pixel_rad[name] if isinstance(pixel_rad, Mapping) else pixel_rad for name in names],
@@ -279,8 +269,8 @@ def examine(
         target_files=target_files,
         cameras=names,
         usual={
-            STABILITY: settings.sigma_mounting_rad / ARCSEC,
-            POSITION: max(USUAL[POSITION], settings.sigma_position_m),
+            hypotheses.STABILITY: settings.sigma_mounting_rad / ARCSEC,
+            hypotheses.POSITION: max(hypotheses.USUAL[hypotheses.POSITION], settings.sigma_position_m),
         },
     )
     keys = zip(found.strip_id.tolist(), found.target_id.tolist(), found.ccd.tolist(), found.sample.tolist())
@@ -329,7 +319,7 @@ def _posed(
     return joint_solution.Posed.of(strips, passes, settings, (), estimate.cameras, estimate.prior)
 
 
-def _columns(across: Floats, table: Sequence[Hypothesis]) -> sparse.csc_array:
+def _columns(across: Floats, table: Sequence[hypotheses.Hypothesis]) -> sparse.csc_array:
     """Change (2 J, H) of the whitened residuals by one unit of each hypothesis."""
     size = [(across[h.rows] @ h.moves_c[:, :, None]).ravel() for h in table]
     rows = [(2 * h.rows[:, None] + np.arange(2)).ravel() for h in table]
@@ -367,7 +357,7 @@ def _tests(one: _Adjustment) -> list[HypothesisTest]:
     return tests
 
 
-def _of_bias(one: _Adjustment, estimate: InstallationEstimate) -> Iterator[Hypothesis]:
+def _of_bias(one: _Adjustment, estimate: InstallationEstimate) -> Iterator[hypotheses.Hypothesis]:
     """Hypotheses about targets on the ground of which some possible size leaves nothing of the bias of the
     orbit that is significant: the bias takes up what they do to the residuals.
     """
@@ -605,17 +595,17 @@ def _finding(
     )
 
 
-def _rivals(h: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
+def _rivals(h: hypotheses.Hypothesis, others: Sequence[hypotheses.Hypothesis]) -> list[hypotheses.Hypothesis]:
     """Other causes that explain as much: the same of other items, then the first of each other kind."""
     alike = [other for other in others if other.cause == h.cause][:MOST_RIVALS]
-    kinds: dict[str, Hypothesis] = {}
+    kinds: dict[str, hypotheses.Hypothesis] = {}
     for other in others:
         if other.cause != h.cause:
             kinds.setdefault(other.kind, other)
     return [*alike, *kinds.values()][:MOST_RIVALS]
 
 
-def _beside(h: Hypothesis, other: Hypothesis) -> str:
+def _beside(h: hypotheses.Hypothesis, other: hypotheses.Hypothesis) -> str:
     """Another cause in words, without what it has in common."""
     return other.item if other.cause == h.cause else other.cause if other.item == h.item else other.named
 

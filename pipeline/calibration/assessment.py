@@ -16,14 +16,7 @@ from boresight.calib.reliability import Reliability
 from boresight.calib.verdict import CheckKind, Verdict, assess
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.rounds import Measured, Round
-from boresight.pipeline.diagnosis import losses, readings
-from boresight.pipeline.diagnosis.input_findings import (
-    EarthTableCheck,
-    assumed_motion,
-    check_earth_table,
-    earth_findings,
-    input_findings,
-)
+from boresight.pipeline.diagnosis import input_findings, losses, readings
 from boresight.pipeline.diagnosis.missing import wrong_convention
 from boresight.pipeline.diagnosis.moved_inputs import examined, moved_inputs
 from boresight.pipeline.diagnosis.suspects import MeasuredTargets, single_targets
@@ -43,7 +36,7 @@ class Assessment:
     """What is said of a calibration, and what that rests on."""
 
     verdict: Verdict  # with all findings
-    earth_table: EarthTableCheck
+    earth_table: input_findings.EarthTableCheck
     sighted: tuple[StripSightings, ...]  # the strips with what was measured in them and left out
     inputs: tuple[MovedInput, ...]  # what further inputs do to these, by prediction
 
@@ -59,7 +52,7 @@ def assessed(
     inputs = moved_inputs(dump, sighted)
     reliability = examined(basis, found, sighted, basis.errors, inputs)
     of_attitudes = basis.of_attitudes
-    of_inputs = [*of_attitudes, *input_findings(basis, last.tasks, last.matched, omissions)]
+    of_inputs = [*of_attitudes, *input_findings.input_findings(basis, last.tasks, last.matched, omissions)]
     of_inputs += losses.repeated_lines(last.tasks)
     if any(one.refutes for one in of_inputs):  # places measured with a wrong input accuse no other one
         reliability = replace(reliability, findings=(), suspects=())
@@ -76,7 +69,7 @@ def assessed(
     ]
     if of_stars:  # places by wrong attitudes accuse no single target
         reliability = replace(reliability, suspects=())
-    earth = check_earth_table(dump.orbit, dump.earth_table, bundled_table())
+    earth = input_findings.check_earth_table(dump.orbit, dump.earth_table, bundled_table())
     explanations = list[Finding]()
     if any(one.refutes for one in of_attitudes):  # what follows from them accuses no other input
         verdict = replace(verdict, findings=())
@@ -92,8 +85,8 @@ def assessed(
     findings = [
         *explanations,
         *of_inputs,
-        *assumed_motion(last.strips, basis.errors),
-        *earth_findings(earth, dump.earth_file, dump.ground_targets.values()),
+        *input_findings.assumed_motion(last.strips, basis.errors),
+        *input_findings.earth_findings(earth, dump.earth_file, dump.ground_targets.values()),
     ]
     return Assessment(verdict.with_findings(findings), earth, sighted, inputs)
 
