@@ -24,17 +24,8 @@ Array = NDArray[np.float64]
 
 def star_camera(settings: scenario.StarCameraSettings) -> StarCamera:
     """The star camera (paper, Table 2); simulated images are exactly those of its calibration."""
-    return StarCamera(
-        focal_m=settings.focal_mm * 1e-3,
-        pixel_m=settings.pixel_um * 1e-6,
-        width_px=settings.width_px,
-        height_px=settings.height_px,
-        principal_px=settings.principal_px,
-        p1=settings.p1,
-        p2=settings.p2,
-        q1=settings.q1,
-        q2=settings.q2,
-    )
+    same = {name: getattr(settings, name) for name in "width_px height_px principal_px p1 p2 q1 q2".split()}
+    return StarCamera(focal_m=settings.focal_mm * 1e-3, pixel_m=settings.pixel_um * 1e-6, **same)
 
 
 def calibrated_line_camera(settings: scenario.LineCameraSettings) -> LineCamera:
