@@ -19,39 +19,8 @@ from numpy.typing import ArrayLike
 from rasterio.crs import CRS
 from rasterio.transform import Affine
 
-from boresight.accepted import (
-    PathLike,
-    Progress,
-    RotationLike,
-    Table,
-    cell_of,
-    column_of,
-    count_of,
-    counted,
-    floats_of,
-    image_of,
-    instance_of,
-    label_of,
-    listed,
-    no_progress,
-    number_of,
-    pixels_of,
-    progress_of,
-    rotation_of,
-    rows_of,
-    shown,
-    vacant_folder_of,
-    values_by_column,
-    wrong,
-)
-from boresight.array_stars import (
-    attitude_keys,
-    bits_of,
-    stored,
-    write_attitudes,
-    write_exposures,
-    write_image,
-)
+from boresight import accepted, array_stars
+from boresight.accepted import PathLike, Progress, RotationLike, Table, no_progress
 from boresight.geometry.line_camera import LineCamera, LookAngleCamera
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.errors import RawDataError
@@ -188,50 +157,52 @@ def dump_from_arrays(
     --------
     See docs/bring-your-own-mission.md.
     """
-    folder, told = _new_folder(out), progress_of(progress)
+    folder, told = _new_folder(out), accepted.progress_of(progress)
     if not isinstance(remote_camera, LineCamera | LookAngleCamera):
-        raise wrong("remote_camera", remote_camera, "a LineCamera or a LookAngleCamera")
-    R_cs = rotation_of(R_cs0, "R_cs0")
+        raise accepted.wrong("remote_camera", remote_camera, "a LineCamera or a LookAngleCamera")
+    R_cs = accepted.rotation_of(R_cs0, "R_cs0")
     sigma = _three(sigma_R_cs0_rad)
     if not isinstance(errors, Mapping):
-        raise wrong("errors", errors, "a mapping of 1-sigma errors")
+        raise accepted.wrong("errors", errors, "a mapping of 1-sigma errors")
     for key, bits in (("star_bits", star_bits), ("remote_bits", remote_bits)):
         if bits is not None:
-            count_of(bits, key, 8, 16)
+            accepted.count_of(bits, key, 8, 16)
     if orbit_frame not in FRAMES:
-        raise wrong("orbit_frame", orbit_frame, " or ".join(FRAMES))
+        raise accepted.wrong("orbit_frame", orbit_frame, " or ".join(FRAMES))
     of_ground = isinstance(strips, pd.DataFrame) and not (strips.get("kind", pd.Series()) == "sky").any()
     if targets is None and points is None and of_ground:
-        raise wrong("targets, points", "neither of them", "targets, points or strips of kind sky")
+        raise accepted.wrong("targets, points", "neither of them", "targets, points or strips of kind sky")
     if (exposures is None) == (attitudes is None):
-        raise wrong("exposures, attitudes", "neither or both of them", "one of them")
+        raise accepted.wrong("exposures, attitudes", "neither or both of them", "one of them")
     for name in ("exposures", "strips", "chips", "terrain"):
         (folder / name).mkdir(parents=True)
     if attitudes is not None:
-        keys = attitude_keys(attitude_frame, attitude_rotation, aberration_removed, line_of_sight_s)
-        head_table = write_attitudes(folder, attitudes) | keys
+        keys = array_stars.attitude_keys(
+            attitude_frame, attitude_rotation, aberration_removed, line_of_sight_s
+        )
+        head_table = array_stars.write_attitudes(folder, attitudes) | keys
     else:
-        head_table = write_exposures(folder, star_camera, exposures, star_bits, told)  # type: ignore[arg-type]
+        head_table = array_stars.write_exposures(folder, star_camera, exposures, star_bits, told)  # type: ignore[arg-type]
     of_head = ("star_camera", "installation", "exposures") if head_table else ()
     files = {key: file for key, file in FILES.items() if key not in of_head}
-    bits_used = _write_strips(folder, rows_of(strips, "strips"), remote_bits, told)
+    bits_used = _write_strips(folder, accepted.rows_of(strips, "strips"), remote_bits, told)
     write_remote_camera(folder, remote_camera, bits_used)
     mounting = {"quaternion_cs": R_cs.as_quat(canonical=True).tolist(), "sigma_rad": sigma}
     write_toml(folder / FILES["installation"], mounting)
-    states = orbit_text(instance_of(mission, str, "mission"), orbit_frame, orbit)
+    states = orbit_text(accepted.instance_of(mission, str, "mission"), orbit_frame, orbit)
     (folder / files["orbit"]).write_text(states, encoding="utf-8")
     if targets is not None:
         files["targets"] = "targets.csv"
-        _write_targets(folder, rows_of(targets, "targets"), told)
+        _write_targets(folder, accepted.rows_of(targets, "targets"), told)
     if points is not None:
         files["points"] = "points.csv"
-        columns = values_by_column(rows_of(points, "points"), MEASURED, "points")
+        columns = accepted.values_by_column(accepted.rows_of(points, "points"), MEASURED, "points")
         write_csv(folder / "points.csv", MEASURED, list(zip(*columns)))
     head = head_of_dump(mission, f"boresight {__version__}: dump_from_arrays")
     if terrain is not None:
         files["terrain"] = "terrain/dem.tif"
         head["terrain"] = _terrain(folder, terrain, terrain_height_kind, terrain_sigma_m)
-    stated = {str(key): number_of(v, f"errors, {key}") for key, v in errors.items()}
+    stated = {str(key): accepted.number_of(v, f"errors, {key}") for key, v in errors.items()}
     head |= {"files": files, "errors": stated} | ({"star_cameras": [head_table]} if head_table else {})
     write_toml(folder / "dump.toml", head)  # last: a dump with a dump.toml is complete
     try:
@@ -247,48 +218,52 @@ def _new_folder(out: PathLike | None) -> Path:
         folder = Path(tempfile.mkdtemp(prefix="boresight-dump-"))
         atexit.register(shutil.rmtree, folder, ignore_errors=True)
         return folder
-    return vacant_folder_of(out, "out")
+    return accepted.vacant_folder_of(out, "out")
 
 
 def _three(sigma: ArrayLike) -> list[float]:
-    values = floats_of(sigma, "sigma_R_cs0_rad", "(3,)")
+    values = accepted.floats_of(sigma, "sigma_R_cs0_rad", "(3,)")
     if values.shape not in ((), (3,)) or not ((values > 0.0) & (values <= np.pi)).all():
-        raise wrong("sigma_R_cs0_rad", sigma, "a number or three, above 0 and at most pi, rad")
+        raise accepted.wrong("sigma_R_cs0_rad", sigma, "a number or three, above 0 and at most pi, rad")
     return [float(value) for value in np.broadcast_to(values, 3)]
 
 
 def _write_strips(folder: Path, rows: Sequence[Mapping[str, Any]], stated: int | None, told: Progress) -> int:
-    ids, ccds, times, periods = values_by_column(rows, ("id", "ccd", "time", "row_period_s"), "strips")
-    kinds = column_of(rows, "kind", "strips", label_of, "ground")
+    ids, ccds, times, periods = accepted.values_by_column(
+        rows, ("id", "ccd", "time", "row_period_s"), "strips"
+    )
+    kinds = accepted.column_of(rows, "kind", "strips", accepted.label_of, "ground")
     places: list[tuple[str, int]] = []  # file and number of lines
     types = set()
-    for n, row in enumerate(counted(rows, "strips", told)):
-        file, image = "", cell_of(row, "image", "strips", n)
+    for n, row in enumerate(accepted.counted(rows, "strips", told)):
+        file, image = "", accepted.cell_of(row, "image", "strips", n)
         if image is None:
-            count = count_of(cell_of(row, "lines", "strips", n), f"strips, row {n}, lines")
+            count = accepted.count_of(accepted.cell_of(row, "lines", "strips", n), f"strips, row {n}, lines")
         else:
             file = f"strips/{n + 1:05d}.tif"
-            pixels = image_of(image, f"strips, row {n}, image")
+            pixels = accepted.image_of(image, f"strips, row {n}, image")
             types.add(pixels.dtype)
             count = len(pixels)
-            write_image(folder / file, stored(pixels, stated or 8))
+            array_stars.write_image(folder / file, array_stars.stored(pixels, stated or 8))
         places.append((file, count))
     columns = ["id", "ccd", "file", "lines", "utc_first_row", "row_period_s", "kind"]
     lines = list(zip(ids, ccds, *zip(*places), times, map(repr, periods), kinds))
     write_csv(folder / "strips.csv", columns, lines)
-    return bits_of(stated, types, "remote_bits")
+    return array_stars.bits_of(stated, types, "remote_bits")
 
 
 def _write_targets(folder: Path, rows: Sequence[Mapping[str, Any]], told: Progress) -> None:
     files = [f"chips/{n + 1:05d}.tif" for n in range(len(rows))]
-    for n, (row, file) in enumerate(zip(counted(rows, "targets", told), files)):
+    for n, (row, file) in enumerate(zip(accepted.counted(rows, "targets", told), files)):
         at = f"targets, row {n}"
-        pixels = pixels_of(cell_of(row, "chip", "targets", n), f"{at}, chip", "grey values (rows, columns)")
+        pixels = accepted.pixels_of(
+            accepted.cell_of(row, "chip", "targets", n), f"{at}, chip", "grey values (rows, columns)"
+        )
         if pixels.dtype not in (np.uint8, np.uint16):
             pixels = _single(pixels, f"{at}, chip")
-        affine, crs = cell_of(row, "chip_affine", "targets", n), cell_of(row, "chip_crs", "targets", n)
-        write_image(folder / file, pixels, **_georeference(affine, crs, at))
-    lines = zip(*values_by_column(rows, ("id", *PLACE), "targets"), files)
+        affine, crs = (accepted.cell_of(row, name, "targets", n) for name in ("chip_affine", "chip_crs"))
+        array_stars.write_image(folder / file, pixels, **_georeference(affine, crs, at))
+    lines = zip(*accepted.values_by_column(rows, ("id", *PLACE), "targets"), files)
     write_csv(folder / "targets.csv", ["id", *PLACE, "chip"], list(lines))
 
 
@@ -297,49 +272,53 @@ def _single(values: np.ndarray, name: str) -> np.ndarray:
     with np.errstate(over="ignore"):
         single = values.astype(np.float32)
     if (np.isinf(single) & np.isfinite(values)).any():
-        raise wrong(name, f"values to {np.nanmax(np.abs(values)):.3g}", "at most 3e38")
+        raise accepted.wrong(name, f"values to {np.nanmax(np.abs(values)):.3g}", "at most 3e38")
     return single
 
 
 def _georeference(affine: Any, crs: Any, at: str) -> dict[str, Any]:
-    numbers = floats_of(listed(affine, f"{at}, affine", "six numbers")[:6], f"{at}, affine", "(6,)")
+    numbers = accepted.floats_of(
+        accepted.listed(affine, f"{at}, affine", "six numbers")[:6], f"{at}, affine", "(6,)"
+    )
     if numbers.shape != (6,) or not np.isfinite(numbers).all():
-        raise wrong(f"{at}, affine", affine, "six finite numbers a, b, c, d, e, f")
+        raise accepted.wrong(f"{at}, affine", affine, "six finite numbers a, b, c, d, e, f")
     try:
         return {"transform": Affine(*numbers.tolist()), "crs": CRS.from_user_input(crs)}
     except Exception as error:  # of PROJ and GDAL
-        expected = f'a reference system such as "EPSG:32648" ({shown(str(error))})'
-        raise wrong(f"{at}, crs", crs, expected) from error
+        expected = f'a reference system such as "EPSG:32648" ({accepted.shown(str(error))})'
+        raise accepted.wrong(f"{at}, crs", crs, expected) from error
 
 
 def _terrain(folder: Path, terrain: Any, height_kind: str, sigma_m: float) -> dict[str, Any]:
     """Write the heights; the table [terrain] of the dump."""
     if not isinstance(terrain, Sequence) or isinstance(terrain, str) or len(terrain) != 3:
-        raise wrong("terrain", terrain, "(heights, affine, crs)")
+        raise accepted.wrong("terrain", terrain, "(heights, affine, crs)")
     if height_kind not in HEIGHT_KINDS:
-        raise wrong("terrain_height_kind", height_kind, " or ".join(HEIGHT_KINDS))
-    heights = floats_of(terrain[0], "terrain, heights", "(rows, columns)")
+        raise accepted.wrong("terrain_height_kind", height_kind, " or ".join(HEIGHT_KINDS))
+    heights = accepted.floats_of(terrain[0], "terrain, heights", "(rows, columns)")
     if heights.ndim != 2 or not heights.size:
-        raise wrong("terrain, heights", heights, "shape (rows, columns)")
+        raise accepted.wrong("terrain, heights", heights, "shape (rows, columns)")
     place = _georeference(terrain[1], terrain[2], "terrain")
-    write_image(
+    array_stars.write_image(
         folder / "terrain" / "dem.tif", _single(heights, "terrain, heights"), nodata=float("nan"), **place
     )
-    return {"height_kind": height_kind, "sigma_m": number_of(sigma_m, "terrain_sigma_m", 0.0)}
+    return {"height_kind": height_kind, "sigma_m": accepted.number_of(sigma_m, "terrain_sigma_m", 0.0)}
 
 
 def orbit_text(mission: str, frame: str, orbit: Table) -> str:
     """An orbit message of the states of a table."""
     if frame not in FRAMES:
-        raise wrong("orbit_frame", frame, " or ".join(FRAMES))
-    rows = rows_of(orbit, "orbit")
+        raise accepted.wrong("orbit_frame", frame, " or ".join(FRAMES))
+    rows = accepted.rows_of(orbit, "orbit")
     if len(rows) < FEWEST_STATES:
-        raise wrong("orbit", f"{len(rows)} states", f"at least {FEWEST_STATES}")
-    utc, *columns = values_by_column(rows, ORBIT, "orbit")
+        raise accepted.wrong("orbit", f"{len(rows)} states", f"at least {FEWEST_STATES}")
+    utc, *columns = accepted.values_by_column(rows, ORBIT, "orbit")
     numbers = np.array(columns).T
     radius_m = np.linalg.norm(numbers[:, :3], axis=1)
     for n in np.flatnonzero(~((radius_m > 6.4e6) & (radius_m < 5e7)))[:1]:
         found = f"{radius_m[n]:.6g} m from the centre of the Earth"
-        raise wrong(f"orbit, row {n}, x_m, y_m, z_m", found, "6.4e6 to 5e7 m (metres, not kilometres)")
+        raise accepted.wrong(
+            f"orbit, row {n}, x_m, y_m, z_m", found, "6.4e6 to 5e7 m (metres, not kilometres)"
+        )
     name = "".join(letter if letter.isalnum() else "-" for letter in mission.upper()) or "ARRAYS"
     return orbit_message(name, frame, ("lagrange", DEGREE), utc, numbers[:, :3], numbers[:, 3:])

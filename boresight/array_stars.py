@@ -1,7 +1,5 @@
 """The star side of a dump made of arrays, as its files: images, lists of stars, or attitudes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -9,18 +7,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
-from boresight.accepted import (
-    Progress,
-    Table,
-    cell_of,
-    counted,
-    floats_of,
-    image_of,
-    instance_of,
-    rows_of,
-    values_by_column,
-    wrong,
-)
+from boresight import accepted
+from boresight.accepted import Progress, Table
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.files.attitude_files import COMPONENTS, COVARIANCES, SIGMAS
 from boresight.pipeline.files.dump_schema import DIRECTION_LENGTH
@@ -48,21 +36,23 @@ def write_exposures(
 
     For images that is {}, the usual files; for lists a table of [[star_cameras]].
     """
-    instance_of(camera, StarCamera, "star_camera")
+    accepted.instance_of(camera, StarCamera, "star_camera")
     types, lists = set(), []
-    rows = rows_of(table, "exposures")
+    rows = accepted.rows_of(table, "exposures")
     of_lists = "stars" in rows[0]
     files = [f"exposures/{n + 1:05d}.tif" for n in range(len(rows))]
-    for n, (row, file) in enumerate(zip(counted(rows, "star images", told), files)):
+    for n, (row, file) in enumerate(zip(accepted.counted(rows, "star images", told), files)):
         at = f"exposures, row {n}"
         if of_lists:
-            lists.append(_stars(cell_of(row, "stars", "exposures", n), f"{at}, stars").assign(file=file))
+            lists.append(
+                _stars(accepted.cell_of(row, "stars", "exposures", n), f"{at}, stars").assign(file=file)
+            )
         else:
-            pixels = image_of(cell_of(row, "image", "exposures", n), f"{at}, image")
+            pixels = accepted.image_of(accepted.cell_of(row, "image", "exposures", n), f"{at}, image")
             types.add(pixels.dtype)
             write_image(folder / file, stored(pixels, stated or 8))
     rows = [{"id": f"e{n + 1:04d}", **row} for n, row in enumerate(rows)]
-    ids, times, lengths = values_by_column(rows, ("id", "time", "exposure_s"), "exposures")
+    ids, times, lengths = accepted.values_by_column(rows, ("id", "time", "exposure_s"), "exposures")
     lines = list(zip(ids, files, times, lengths))
     write_csv(folder / "exposures.csv", ["id", "file", "utc_mid", "exposure_s"], lines)
     bits = LIST_BITS if of_lists else bits_of(stated, types, "star_bits")
@@ -70,7 +60,7 @@ def write_exposures(
     if not of_lists:
         return {}
     if len({tuple(one.columns) for one in lists}) > 1:
-        raise wrong("exposures, stars", "lists with different columns", "the same columns in each")
+        raise accepted.wrong("exposures, stars", "lists with different columns", "the same columns in each")
     write_text(folder / "centroids.csv", table_csv(pd.concat(lists)))
     named = {"camera": "star_camera.toml", "exposures": "exposures.csv", "centroids": "centroids.csv"}
     return HEAD | {"level": "centroids"} | named
@@ -83,18 +73,18 @@ def _stars(given: Any, name: str) -> pd.DataFrame:
         sigma_x, sigma_y = np.sqrt(cov[:, 0, 0]), np.sqrt(cov[:, 1, 1])
         values = (x, y, sigma_x, sigma_y, cov[:, 0, 1], given.flux_dn)
         return pd.DataFrame(dict(zip(STAR, values)) | {key: getattr(given, key) for key in MORE})
-    rows = rows_of(given, name)
+    rows = accepted.rows_of(given, name)
     missing = [key for row in rows for key in STAR if key not in row]
     if missing:
-        raise wrong(name, f"columns {', '.join(map(str, rows[0]))}", f"also {missing[0]}")
+        raise accepted.wrong(name, f"columns {', '.join(map(str, rows[0]))}", f"also {missing[0]}")
     return pd.DataFrame([{key: row[key] for key in (*STAR, *MORE) if key in row} for row in rows])
 
 
 def write_attitudes(folder: Path, table: Table) -> dict[str, Any]:
     """Write attitudes.csv with its errors; its table of [[star_cameras]] without `attitude_keys`."""
-    rows = rows_of(table, "attitudes")
+    rows = accepted.rows_of(table, "attitudes")
     errors = COVARIANCES if COVARIANCES[0] in rows[0] else SIGMAS
-    columns = values_by_column(rows, ("time", *COMPONENTS, *errors), "attitudes")
+    columns = accepted.values_by_column(rows, ("time", *COMPONENTS, *errors), "attitudes")
     write_csv(folder / "attitudes.csv", ["utc", *COMPONENTS, *errors], list(zip(*columns)))
     return HEAD | {"level": "attitudes", "attitudes": "attitudes.csv"}
 
@@ -107,15 +97,15 @@ def attitude_keys(
     for (key, value), allowed in zip(keys.items(), (FRAMES, SENSES, REMOVED)):
         if value not in allowed:
             name = key if allowed is REMOVED else f"attitude_{key}"
-            raise wrong(name, value, " or ".join(allowed))
+            raise accepted.wrong(name, value, " or ".join(allowed))
     expected = "a unit vector in the axes of the quaternions, (0, 0, 1) for z"
     if line_of_sight_s is None:
         if removed != "annual and orbital":
-            raise wrong("line_of_sight_s", None, f"{expected}: aberration_removed is {removed!r}")
+            raise accepted.wrong("line_of_sight_s", None, f"{expected}: aberration_removed is {removed!r}")
         return keys
-    u_s = floats_of(line_of_sight_s, "line_of_sight_s", "(3,)", unit="")
+    u_s = accepted.floats_of(line_of_sight_s, "line_of_sight_s", "(3,)", unit="")
     if u_s.shape != (3,) or not abs(np.linalg.norm(u_s) - 1.0) <= DIRECTION_LENGTH:
-        raise wrong("line_of_sight_s", line_of_sight_s, expected)
+        raise accepted.wrong("line_of_sight_s", line_of_sight_s, expected)
     return keys | {"line_of_sight": u_s.tolist()}
 
 
@@ -123,7 +113,7 @@ def bits_of(stated: int | None, types: set[Any], name: str) -> int:
     if stated is not None:
         return stated
     if types - {np.dtype(np.uint8)}:
-        raise wrong(name, "None", "the bits in use, 9 to 16, of images of uint16")
+        raise accepted.wrong(name, "None", "the bits in use, 9 to 16, of images of uint16")
     return 8 if types else 0
 
 

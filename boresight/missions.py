@@ -19,21 +19,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtrc
 
-from boresight.accepted import (
-    PathLike,
-    Progress,
-    count_of,
-    flag_of,
-    listed,
-    new_file_of,
-    new_folder_of,
-    no_progress,
-    path_of,
-    progress_of,
-    source_of,
-    vacant_folder_of,
-    wrong,
-)
+from boresight import accepted
+from boresight.accepted import PathLike, Progress, no_progress
 from boresight.calib.verdict import p_residuals
 from boresight.display import Result, axes_or_new, feature_function
 from boresight.features.table import features
@@ -175,7 +162,7 @@ class Calibration(Result):
         p_value and kept: of targets along x and y of frame c, of stars along x and y of frame s.
         """
         if of not in ("targets", "stars"):
-            raise wrong("of", of, "'targets' or 'stars'")
+            raise accepted.wrong("of", of, "'targets' or 'stars'")
         if of == "targets":
             return self.targets
         return self.stars if self.stars is not None else _star_residuals(Path(self))
@@ -259,7 +246,7 @@ class Calibration(Result):
     def of_camera(self, name: str) -> Calibration:
         """The matrix of one of several cameras, with its residuals; of all others what is common."""
         if name not in self.cameras:
-            raise wrong("name", name, f"one of {', '.join(map(repr, self.cameras))}")
+            raise accepted.wrong("name", name, f"one of {', '.join(map(repr, self.cameras))}")
         if len(self.cameras) == 1:
             return self
         n = self.cameras.index(name)
@@ -294,7 +281,7 @@ class Calibration(Result):
 
     def save(self, folder: PathLike) -> Path:
         """Write the result into a folder, new or empty, which `read_result` reads; the folder."""
-        place = vacant_folder_of(folder, "folder")
+        place = accepted.vacant_folder_of(folder, "folder")
         without = shutil.ignore_patterns(".boresight-lock")
         return Path(shutil.copytree(Path(self), place, ignore=without, dirs_exist_ok=True))
 
@@ -316,7 +303,7 @@ class Calibration(Result):
 
         A result from vectors has no images to show. Raises `ValueError` for a joint result without a folder.
         """
-        page, folder = new_file_of(path, "path"), Path(self)
+        page, folder = accepted.new_file_of(path, "path"), Path(self)
         if self.facts.get("made_from") == "vectors":
             write: Callable[..., None] = feature_function("vectors", "write_vector_page")
             write(folder, page, self)
@@ -480,24 +467,24 @@ def calibrate(
     >>> est.verdict, bool(est.sigma_arcsec.max() < 10.0)
     ('consistent', True)
     """
-    folder = None if out is None else new_folder_of(out, "out")
-    told = progress_of(progress)
-    n_workers, chosen = count_of(workers, "workers", 1, MOST_WORKERS), _settings_of(settings)
-    given = [dump] if isinstance(dump, str | os.PathLike | Dump) else listed(dump, "dump", "dumps")
+    folder = None if out is None else accepted.new_folder_of(out, "out")
+    told = accepted.progress_of(progress)
+    n_workers, chosen = accepted.count_of(workers, "workers", 1, MOST_WORKERS), _settings_of(settings)
+    given = [dump] if isinstance(dump, str | os.PathLike | Dump) else accepted.listed(dump, "dump", "dumps")
     sources = [source_of_dump(one) for one in given]
     if not sources:
-        raise wrong("dump", "no dumps", "at least one")
+        raise accepted.wrong("dump", "no dumps", "at least one")
     with _in_words_of_python():
         request = RunRequest(
             settings=chosen,
             begun_s=time.perf_counter(),
-            overwrite=flag_of(overwrite, "overwrite"),
+            overwrite=accepted.flag_of(overwrite, "overwrite"),
             facts={"version": __version__, "workers": n_workers},
             report=folder is not None,
             progress=told,
             after_joint=hooks_of(features(), "after_joint") if len(sources) > 1 else (),
         )
-        stale = flag_of(allow_stale_eop, "allow_stale_eop")
+        stale = accepted.flag_of(allow_stale_eop, "allow_stale_eop")
         if len(sources) > 1:
             several = open_dumps([_folder_of(one) for one in sources], chosen, allow_stale_eop=stale)
         else:
@@ -505,7 +492,9 @@ def calibrate(
         scratch = ScratchFolder()
         if len(several) > 1:
             if strips is not None:
-                raise wrong("strips", strips, "none with several dumps or cameras: give the strips of one")
+                raise accepted.wrong(
+                    "strips", strips, "none with several dumps or cameras: give the strips of one"
+                )
             place = folder if folder is not None else scratch.path
             with executor_for(n_workers, None, sum(named.dump.pixels for named in several)) as executor:
                 run_dumps(place, several, dataclasses.replace(request, executor=executor))
@@ -513,7 +502,9 @@ def calibrate(
             return made if folder else dataclasses.replace(made, folder=None, _scratch=scratch)
         opened = several[0].dump
         if strips is not None:
-            opened = opened.of_strips([str(one) for one in listed(strips, "strips", "ids of strips")])
+            opened = opened.of_strips(
+                [str(one) for one in accepted.listed(strips, "strips", "ids of strips")]
+            )
         with executor_for(n_workers, None, opened.pixels) as executor:
             if folder is not None:
                 run_dump(folder, opened, str(opened.root), dataclasses.replace(request, executor=executor))
@@ -539,8 +530,8 @@ def source_of_dump(dump: object) -> str | Path | Dump:
     if isinstance(dump, Dump):
         return dump
     if not isinstance(dump, str | os.PathLike):
-        raise wrong("dump", dump, "a path, an open Dump, or a sequence of them")
-    return source_of(dump, "dump")
+        raise accepted.wrong("dump", dump, "a path, an open Dump, or a sequence of them")
+    return accepted.source_of(dump, "dump")
 
 
 @contextmanager
@@ -561,8 +552,8 @@ def _settings_of(settings: PathLike | Settings | None) -> Settings:
     if isinstance(settings, Settings):
         return settings
     if settings is not None and not isinstance(settings, str | os.PathLike):
-        raise wrong("settings", settings, "the path of a TOML file, or Settings")
-    return read_settings(None if settings is None else path_of(settings, "settings"))
+        raise accepted.wrong("settings", settings, "the path of a TOML file, or Settings")
+    return read_settings(None if settings is None else accepted.path_of(settings, "settings"))
 
 
 def read_result(folder: PathLike) -> Calibration:
@@ -584,7 +575,7 @@ def read_result(folder: PathLike) -> Calibration:
     ValueError
         If `folder` is no path.
     """
-    place = path_of(folder, "folder")
+    place = accepted.path_of(folder, "folder")
     facts = read_json(place / "installation.json")
     of_vectors = facts.get("made_from") == "vectors"
     names = {name: facts.get(name) for name in ("frames", "stars", "targets", "chi2", "dof")}

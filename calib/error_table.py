@@ -29,14 +29,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from boresight.calib.distortion import (
-    Knot,
-    knot_weights,
-    knots_touched,
-    missed_between_knots,
-    prior_information,
-    unknown_names,
-)
+from boresight.calib import distortion
 from boresight.calib.ground_references import ReferenceField, fields_of
 from boresight.calib.heads import of_heads
 from boresight.calib.predicted_earth import earth_names, prior_of_predictions
@@ -117,7 +110,7 @@ class SharedError:
 class SharedUnknowns:
     """The unknowns of a calibration beside theta, in the order of the information pairs' rows."""
 
-    knots: tuple[Knot, ...] = scalar("of the cameras' distortion", default=())
+    knots: tuple[distortion.Knot, ...] = scalar("of the cameras' distortion", default=())
     errors: tuple[SharedError, ...] = scalar("rows of the table; those of heads are last", default=())
     targets: tuple[str, ...] = array("T", "ids of the targets with unknown coordinates", default=())
     prior_targets: Array = scalar("(3 T, 3 T) information on these", default_factory=lambda: np.zeros((0, 0)))
@@ -146,7 +139,7 @@ class SharedUnknowns:
 
     def missed(self, strip: PreparedStrip) -> Array:
         """Variance (J,) of the cameras' distortion that straight lines between its knots miss, rad²."""
-        share = missed_between_knots(_weights(strip, self.knots)) if self.knots else 1.0
+        share = distortion.missed_between_knots(_weights(strip, self.knots)) if self.knots else 1.0
         return np.asarray(strip.distortion_rad**2 * share)
 
 
@@ -186,11 +179,11 @@ def find_shared(
 
     Of targets in several strips, those seen most often come first.
     """
-    knots: set[Knot] = set()
+    knots: set[distortion.Knot] = set()
     ccds: set[int] = set()
     for strip in strips:
         curved = strip.distortion_rad > 0.0
-        knots.update(knots_touched(strip.curve[curved], strip.place[curved]))
+        knots.update(distortion.knots_touched(strip.curve[curved], strip.place[curved]))
         ccds.update(strip.unit[strip.modes_rad.any(axis=1)].tolist())
     count = Counter(name for strip in strips for name in np.unique(strip.ground.target_id).tolist())
     covariance = dict[str, Array]()
@@ -259,7 +252,7 @@ def _of_bias(names: Sequence[str]) -> Array:
 
 # Prior information on the unknowns of each kind by their names, which begin with it.
 PRIORS: dict[str, Callable[[tuple[str, ...]], Array]] = {
-    "distortion": prior_information,
+    "distortion": distortion.prior_information,
     "interior": _of_unit,
     "target": _of_unit,  # if nothing else is known
     "bias": _of_bias,
@@ -321,7 +314,7 @@ def _process(columns: Array, strip: PreparedStrip, time_s: float, of: Ints) -> A
     return np.asarray((columns[:, :, :, None] * root[:, None, None, :]).reshape(*columns.shape[:2], -1))
 
 
-def _distortion(knots: tuple[Knot, ...], ccds: tuple[int, ...]) -> SharedError:
+def _distortion(knots: tuple[distortion.Knot, ...], ccds: tuple[int, ...]) -> SharedError:
     def columns(strip: PreparedStrip) -> Array:
         of_knots = strip.distortion_rad[:, None] * _weights(strip, knots)
         of_ccd = strip.unit[:, None] == np.array(ccds, dtype=np.int64)
@@ -329,17 +322,17 @@ def _distortion(knots: tuple[Knot, ...], ccds: tuple[int, ...]) -> SharedError:
         along = np.column_stack([of_knots, of_modes.reshape(len(of_knots), -1)])
         return (np.eye(3, 2)[:, :, None] * along[:, None, None]).reshape(len(along), 3, -1)
 
-    return SharedError(unknown_names(knots, ccds), columns_c=columns)
+    return SharedError(distortion.unknown_names(knots, ccds), columns_c=columns)
 
 
 def _reference(field: ReferenceField) -> SharedError:
     return SharedError(field.names, lambda one: of_each(one.reference_s * field.sigma_m, field.weights(one)))
 
 
-def _weights(strip: PreparedStrip, knots: tuple[Knot, ...]) -> Array:
+def _weights(strip: PreparedStrip, knots: tuple[distortion.Knot, ...]) -> Array:
     """Weights (J, K) of knots in the distortion of each target; zero where its camera has none."""
     curved, weights = strip.distortion_rad > 0.0, np.zeros((len(strip.v_s), len(knots)))
-    weights[curved] = knot_weights(strip.curve[curved], strip.place[curved], knots)
+    weights[curved] = distortion.knot_weights(strip.curve[curved], strip.place[curved], knots)
     return weights
 
 

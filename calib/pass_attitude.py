@@ -22,12 +22,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.heads import HeadTie, lasting_of_head, unknowns_of_head
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.slow_motion import FEWEST_SHOW, SlowMotion, missed_covariance, stated_motion
-from boresight.geometry.attitude import (
-    Interpolation,
-    InterpolationNodes,
-    interpolation_weights,
-    linear_weights,
-)
+from boresight.geometry import attitude
 from boresight.geometry.attitude_noise import LastingError
 from boresight.geometry.attitude_smoother import HeadRows, SmoothedAttitude, most_likely_motion
 from boresight.geometry.constants import ARCSEC
@@ -93,7 +88,7 @@ def attitude_of(
 
 def _interpolated(strip: StripSightings, settings: CalibrationSettings, motion: SlowMotion) -> PassAttitude:
     times, R_si, R_oi, own_s = strip.usable()
-    nodes = InterpolationNodes.of_exposures(times, R_si, R_oi)
+    nodes = attitude.InterpolationNodes.of_exposures(times, R_si, R_oi)
     t_s, K = strip.ground.t_s, len(nodes.t_s)
     inside = _covered(nodes.t_s, t_s)
     weights = _weights(nodes.t_s, t_s, inside, strip.interpolation)
@@ -179,7 +174,7 @@ def _smoothed(
         root_s=np.concatenate([root, by_constants @ constant], axis=2),
         n_phi=root.shape[2] + constant.shape[1],
         lasting=lasting,
-        weights=linear_weights(times, t_s, inside),
+        weights=attitude.linear_weights(times, t_s, inside),
         of_heads=tie.unknowns,
         by_heads=by_unknowns(by_constants, t_s),
         ties=(tie,) if len(rows) > 1 and inside.any() else (),
@@ -220,13 +215,13 @@ def _covered(times: Floats, t_s: Floats) -> Bools:
     return (t_s >= times[0] - before) & (t_s <= times[-1] + after)
 
 
-def _weights(times: Floats, t_s: Floats, inside: Bools, interpolation: Interpolation) -> Floats:
+def _weights(times: Floats, t_s: Floats, inside: Bools, interpolation: attitude.Interpolation) -> Floats:
     """Weights (J, K) of the exposures; zero where they do not cover. One alone follows the nominal motion."""
     weights = np.zeros((len(t_s), len(times)))
     if len(times) == 1:
         weights[inside] = 1.0
     elif len(times):
-        weights[inside] = interpolation_weights(times, t_s[inside], interpolation)
+        weights[inside] = attitude.interpolation_weights(times, t_s[inside], interpolation)
     return weights
 
 

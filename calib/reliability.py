@@ -32,31 +32,11 @@ import numpy as np
 from scipy import sparse
 from scipy.special import chdtrc, chdtri
 
+from boresight.calib import hypotheses, joint_solution
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.finding import MOST_WORDS, Finding
 from boresight.calib.gross_errors import noncentrality_of
 from boresight.calib.heads import aligned
-from boresight.calib.hypotheses import (
-    POSITION,
-    STABILITY,
-    USUAL,
-    Hypothesis,
-    HypothesisInputs,
-    HypothesisTable,
-    MovedInput,
-    hypotheses,
-)
-from boresight.calib.joint_solution import (
-    Posed,
-    Problem,
-    Step,
-    absorbed,
-    linearised,
-    respond,
-    solve_weighted,
-    squared_mahalanobis,
-    squared_over,
-)
 from boresight.calib.noise_groups import LEAST_FACTOR, NoiseGroup, noisiest
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.simultaneous_strips import moved_in_passes, passes_of
@@ -156,7 +136,7 @@ class Reliability:
     tests: tuple[HypothesisTest, ...] = scalar("every hypothesis, in the order of the table")
     findings: tuple[Finding, ...] = scalar("causes, the one of most evidence first")
     suspects: tuple[Contradiction, ...] = scalar("observations farther off than any of so many good ones")
-    of_bias: tuple[Hypothesis, ...] = scalar(
+    of_bias: tuple[hypotheses.Hypothesis, ...] = scalar(
         "those about the ground, of a largest possible size, that explain its bias", default=()
     )
     rest: tuple[float, int] | None = scalar(
@@ -190,10 +170,10 @@ class _Fit:
 class _Adjustment:
     """A calibration about its result, with the columns of all hypotheses."""
 
-    problem: Problem = scalar("strips of the calibration")
-    step: Step = scalar("with the weights of the estimate")
-    of: HypothesisInputs = scalar("what the hypotheses are computed from")
-    table: list[Hypothesis] = scalar("H hypotheses")
+    problem: joint_solution.Problem = scalar("strips of the calibration")
+    step: joint_solution.Step = scalar("with the weights of the estimate")
+    of: hypotheses.HypothesisInputs = scalar("what the hypotheses are computed from")
+    table: list[hypotheses.Hypothesis] = scalar("H hypotheses")
     B: sparse.csc_array = scalar(
         "change (2 J, H) of the whitened residuals, two a target, by one unit of each"
     )
@@ -206,16 +186,18 @@ class _Adjustment:
     limit: float = scalar("cost of a rejected observation")
     tolerated: float = scalar("factor of true over stated standard deviations")
 
-    def solved(self, weight: Floats) -> Step:
+    def solved(self, weight: Floats) -> joint_solution.Step:
         """The solution with other weights (J,)."""
-        return solve_weighted(self.problem, self.step.about, weight, self.step)
+        return joint_solution.solve_weighted(self.problem, self.step.about, weight, self.step)
 
-    def beside(self, step: Step, chosen: Sequence[int]) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    def beside(
+        self, step: joint_solution.Step, chosen: Sequence[int]
+    ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """Of every hypothesis beside a solution and the hypotheses `chosen`: information (H,) on its size,
         and the same with their sizes given, right-hand side (H,), and change of theta (H, T) by one unit and,
         in 1-sigma, its square (H,).
         """
-        given, with_chosen, x = absorbed(step, self.B, chosen)
+        given, with_chosen, x = joint_solution.absorbed(step, self.B, chosen)
         given, with_chosen = (
             given + np.diag(self.star_information),
             with_chosen + self.star_information[chosen],
@@ -254,11 +236,11 @@ def examine(
     *,
     pixel_rad: float | Mapping[str, float],
     star_camera: StarCamera | None = None,
-    inputs: Sequence[MovedInput] = (),
+    inputs: Sequence[hypotheses.MovedInput] = (),
     pivots: Mapping[tuple[str, int], float] | None = None,
     target_files: str = "targets.csv",
     sigma_understated: float = 1.1,
-    table_of: HypothesisTable = hypotheses,
+    table_of: hypotheses.HypothesisTable = hypotheses.hypotheses,
 ) -> Reliability:
     """Every hypothesis held against a calibration, the `estimate` of `calibrate_strips` by `settings`: the
     tests at its weights, and at most three causes.
@@ -277,7 +259,7 @@ def examine(
     passes = [posed.passes[n] for n in problem.members]
     prepared = [posed.prepared[n] for n in problem.members]
     effects = star_effects(passes, star_camera, limit) if star_camera else []
-    of = HypothesisInputs(
+    of = hypotheses.HypothesisInputs(
         prepared,
         estimate.R_cs,
         [pixel_rad[name] if isinstance(pixel_rad, Mapping) else pixel_rad for name in names],
@@ -287,15 +269,17 @@ def examine(
         target_files=target_files,
         cameras=names,
         usual={
-            STABILITY: settings.sigma_mounting_rad / ARCSEC,
-            POSITION: max(USUAL[POSITION], settings.sigma_position_m),
+            hypotheses.STABILITY: settings.sigma_mounting_rad / ARCSEC,
+            hypotheses.POSITION: max(hypotheses.USUAL[hypotheses.POSITION], settings.sigma_position_m),
         },
     )
     keys = zip(found.strip_id.tolist(), found.target_id.tolist(), found.ccd.tolist(), found.sample.tolist())
     weights = dict(zip(keys, found.weight.tolist()))
     columns = of.column("strip"), of.ground.target_id, of.ground.ccd, of.ground.xy_px[:, 0]
     weight = np.array([weights.get(key, 0.0) for key in zip(*(column.tolist() for column in columns))])
-    step = solve_weighted(problem, linearised(problem, estimate.R_cs), weight * problem.inside)
+    step = joint_solution.solve_weighted(
+        problem, joint_solution.linearised(problem, estimate.R_cs), weight * problem.inside
+    )
     table, across = table_of(of), step.across
     information, right = summed(effects)
     parts = np.array([h.star_part for h in table])
@@ -323,7 +307,7 @@ def examine(
 
 def _posed(
     estimate: InstallationEstimate, strips: Sequence[StripSightings], settings: CalibrationSettings
-) -> Posed:
+) -> joint_solution.Posed:
     """The problem that an estimate solves, or that its strips pose with what it does not contain."""
     known = estimate.posed
     if known and known.problem.settings is settings and len(known.strips) == len(strips):
@@ -332,10 +316,10 @@ def _posed(
     first = estimate.heads[0].R_cs
     alignment = {head.name: first.inv() * head.R_cs for head in estimate.heads}
     passes = aligned(passes_of(strips, settings.attitudes), alignment)
-    return Posed.of(strips, passes, settings, (), estimate.cameras, estimate.prior)
+    return joint_solution.Posed.of(strips, passes, settings, (), estimate.cameras, estimate.prior)
 
 
-def _columns(across: Floats, table: Sequence[Hypothesis]) -> sparse.csc_array:
+def _columns(across: Floats, table: Sequence[hypotheses.Hypothesis]) -> sparse.csc_array:
     """Change (2 J, H) of the whitened residuals by one unit of each hypothesis."""
     size = [(across[h.rows] @ h.moves_c[:, :, None]).ravel() for h in table]
     rows = [(2 * h.rows[:, None] + np.arange(2)).ravel() for h in table]
@@ -373,7 +357,7 @@ def _tests(one: _Adjustment) -> list[HypothesisTest]:
     return tests
 
 
-def _of_bias(one: _Adjustment, estimate: InstallationEstimate) -> Iterator[Hypothesis]:
+def _of_bias(one: _Adjustment, estimate: InstallationEstimate) -> Iterator[hypotheses.Hypothesis]:
     """Hypotheses about targets on the ground of which some possible size leaves nothing of the bias of the
     orbit that is significant: the bias takes up what they do to the residuals.
     """
@@ -381,7 +365,7 @@ def _of_bias(one: _Adjustment, estimate: InstallationEstimate) -> Iterator[Hypot
         return
     names = list(one.problem.shared.names)
     rows = [len(estimate.theta) + names.index(f"bias/{name}") for name in bias.names]
-    x = absorbed(one.step, one.B)[2]
+    x = joint_solution.absorbed(one.step, one.B)[2]
     weight = np.linalg.inv(bias.covariance + np.diag(bias.stated**2))
     limit = float(chdtri(len(rows), PROBABILITY_SUSPECT))
     before = float(bias.value @ weight @ bias.value)
@@ -505,7 +489,7 @@ def _likeliest(one: _Adjustment, chosen: Sequence[int], before: _Fit) -> list[in
     """
     inside, found = one.problem.inside, list[int]()
     plain = one.solved(before.kept.astype(float))
-    statistic = np.maximum(squared_mahalanobis(plain), 1e-9)
+    statistic = np.maximum(joint_solution.squared_mahalanobis(plain), 1e-9)
     soft = np.where(before.kept, 1.0, np.minimum(1.0, one.limit / statistic)) * inside
     for weight in (before.kept.astype(float), soft, inside.astype(float)):
         step = one.solved(weight)
@@ -545,7 +529,7 @@ def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> _Fit:
     step = one.solved(kept.astype(float))
     rejected = one.limit * float(np.sum(one.problem.inside & ~kept))
     B = one.B[:, rows].toarray()
-    left, x = respond(step, B.reshape(len(kept), 2, len(rows)))
+    left, x = joint_solution.respond(step, B.reshape(len(kept), 2, len(rows)))
     weighted = np.repeat(step.weight, 2)[:, None] * B
     S = weighted.T @ left.reshape(B.shape) + one.star_information[np.ix_(rows, rows)]
     y = weighted.T @ step.whitened.ravel() + one.star_right[rows]
@@ -562,7 +546,7 @@ def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> _Fit:
         step.solution.covariance + x @ of_sizes @ x.T,
         size,
         np.sqrt(np.maximum(np.diag(of_sizes), 0.0)),
-        squared_over(e, variance),
+        joint_solution.squared_over(e, variance),
         e,
         variance,
     )
@@ -611,17 +595,17 @@ def _finding(
     )
 
 
-def _rivals(h: Hypothesis, others: Sequence[Hypothesis]) -> list[Hypothesis]:
+def _rivals(h: hypotheses.Hypothesis, others: Sequence[hypotheses.Hypothesis]) -> list[hypotheses.Hypothesis]:
     """Other causes that explain as much: the same of other items, then the first of each other kind."""
     alike = [other for other in others if other.cause == h.cause][:MOST_RIVALS]
-    kinds: dict[str, Hypothesis] = {}
+    kinds: dict[str, hypotheses.Hypothesis] = {}
     for other in others:
         if other.cause != h.cause:
             kinds.setdefault(other.kind, other)
     return [*alike, *kinds.values()][:MOST_RIVALS]
 
 
-def _beside(h: Hypothesis, other: Hypothesis) -> str:
+def _beside(h: hypotheses.Hypothesis, other: hypotheses.Hypothesis) -> str:
     """Another cause in words, without what it has in common."""
     return other.item if other.cause == h.cause else other.cause if other.item == h.item else other.named
 

@@ -16,14 +16,7 @@ from boresight.gct_match.imaging.views import View, filled_with_mean, in_counts,
 from boresight.gct_match.records import Image, TemplateMatch, not_matched
 from boresight.gct_match.refine.changed import REACH_PX, fit_changed, resampled
 from boresight.gct_match.refine.least_squares import PositionFit, fit_position, usable_pixels
-from boresight.gct_match.search.correlation import (
-    correlation_surface,
-    mean_and_spread,
-    peaks_of,
-    positions_under,
-    probability_wrong,
-    self_similarity,
-)
+from boresight.gct_match.search import correlation
 from boresight.gct_match.search.edges import agreeing_parts, distinct_edges, edge_similarity
 from boresight.gct_match.settings import MatchSettings
 from boresight.records.ledger import Entry, Reason
@@ -177,8 +170,8 @@ def _of_unchanged(
     """The best fit to those parts of the template that are as the picture shows them, if it is sure."""
     (h, w), (x, y) = template.grey.shape, start_px
     around = x - radius_px, y - radius_px, w + 2 * radius_px, h + 2 * radius_px
-    surface = correlation_surface(template.normalised, window(picture.normalised, *around))
-    peaks, best, best_peak = peaks_of(surface, 3, 3), None, np.zeros(2)
+    surface = correlation.correlation_surface(template.normalised, window(picture.normalised, *around))
+    peaks, best, best_peak = correlation.peaks_of(surface, 3, 3), None, np.zeros(2)
     for peak, value in zip(peaks.xy, peaks.value, strict=True):
         if value < max(_LEAST_ALIKE, _SECOND_PEAK * peaks.value[0]):
             break
@@ -188,7 +181,7 @@ def _of_unchanged(
             best, best_peak = fit, np.round(peak)
     if best is None or not _is_sure(best):
         return None
-    wrong = probability_wrong(surface, best_peak)
+    wrong = correlation.probability_wrong(surface, best_peak)
     return _Found(best, surface, best_peak, float(peaks.value[0]), wrong, np.zeros((2, 2)))
 
 
@@ -213,20 +206,20 @@ def _of_changed(
     one = distinct_edges(template.grey, template.valid)
     two = distinct_edges(picture.grey, picture.valid, coarser=template)
     surface = edge_similarity(one, window(two, *around))
-    peaks = peaks_of(surface, 1, 3)
+    peaks = correlation.peaks_of(surface, 1, 3)
     if len(peaks.value) == 0:
         return not_matched(Reason.NO_CORRELATION)
     corner, peak = np.array(around[:2]), np.round(peaks.xy[0])
     usable = usable_pixels(template.valid, picture.valid, peaks.xy[0] + corner)
     fit_pair = partial(fit_changed, one, two, usable, peaks.xy[0] + corner, reference_px)
     fit = fit_pair(affine=True)
-    xy, likelihood = positions_under(surface, peak, REACH_PX, turned=False)
+    xy, likelihood = correlation.positions_under(surface, peak, REACH_PX, turned=False)
     shown = False
     if 0.5 * max(h, w) * np.abs(fit.affine).max() > _TURNED_PX:
         A, at = np.eye(2) + fit.affine, np.round(fit.xy_px - reference_px - corner)
         seen = resampled(two, np.column_stack([A, fit.xy_px - A @ fit.xy_px]), two.shape[1:])
         other = edge_similarity(one, window(seen, *around))
-        other_xy, other_likelihood = positions_under(other, at, REACH_PX, turned=True)
+        other_xy, other_likelihood = correlation.positions_under(other, at, REACH_PX, turned=True)
         other_likelihood -= _LOG_MAPS
         shown = bool(np.logaddexp.reduce(other_likelihood) > np.logaddexp.reduce(likelihood))
         if shown:
@@ -239,8 +232,8 @@ def _of_changed(
     own = edge_similarity(one, window(one, -radius_px, -radius_px, w + 2 * radius_px, h + 2 * radius_px))
     left, top = (peak + corner).astype(int).tolist()
     parts = agreeing_parts(one, window(two, left, top, w, h))  # one cloud's edge is like that of a field
-    wrong = max(probability_wrong(surface, peak, REACH_PX, own), float(np.exp(-0.5 * parts)))
-    mean, spread = mean_and_spread(xy, likelihood)
+    wrong = max(correlation.probability_wrong(surface, peak, REACH_PX, own), float(np.exp(-0.5 * parts)))
+    mean, spread = correlation.mean_and_spread(xy, likelihood)
     dates = _DATES_PX**2 * np.eye(2)
     A = np.eye(2) + fit.affine
     of_corner = np.column_stack([A, fit.xy_px - A @ reference_px])
@@ -262,7 +255,7 @@ def _tested(found: _Found | Entry, radius_px: int, template: View, settings: Mat
     if radius_px <= np.abs(found.peak_xy - radius_px).max():
         return not_matched(Reason.AT_WINDOW_EDGE, limit=radius_px)
     if sigma > settings.sigma_self_similar_px:
-        similarity = self_similarity(template.normalised)
+        similarity = correlation.self_similarity(template.normalised)
         if similarity > _SELF_SIMILAR:
             return not_matched(Reason.SELF_SIMILAR, sigma, settings.sigma_self_similar_px, (similarity,))
     if fit.correlation < settings.least_correlation:

@@ -20,12 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from boresight.geometry.sightings import (
-    ExposureAttitudes,
-    StarSightings,
-    StripSightings,
-    information_of_directions,
-)
+from boresight.geometry import sightings
 from boresight.records.record import Bools, Floats, Ints
 
 __all__ = [
@@ -56,8 +51,8 @@ class AttitudeSettings:
 
 
 def fit_exposures(
-    exposures: Sequence[StarSightings], settings: AttitudeSettings = AttitudeSettings()
-) -> ExposureAttitudes:
+    exposures: Sequence[sightings.StarSightings], settings: AttitudeSettings = AttitudeSettings()
+) -> sightings.ExposureAttitudes:
     """Attitudes of K exposures from their stars, `u_s` and `cov_s` in star-camera axes, `u_i` in GCRS axes.
 
     An exposure whose stars do not fix its attitude has `usable` False; nothing is raised.
@@ -71,8 +66,8 @@ def fit_exposures(
 
 
 def with_attitudes(
-    strips: Sequence[StripSightings], settings: AttitudeSettings = AttitudeSettings()
-) -> list[StripSightings]:
+    strips: Sequence[sightings.StripSightings], settings: AttitudeSettings = AttitudeSettings()
+) -> list[sightings.StripSightings]:
     """The strips, with attitudes fitted for those that have none (`attitudes` is None), all in one fit, to
     which an exposure that several strips list contributes once.
     """
@@ -91,7 +86,7 @@ def with_attitudes(
 
 def fit_attitudes(
     u_s: Floats, u_i: Floats, cov_s: Floats, start: Ints, settings: AttitudeSettings = AttitudeSettings()
-) -> ExposureAttitudes:
+) -> sightings.ExposureAttitudes:
     """Maximum-likelihood attitude of each exposure, outlying stars rejected.
 
     Exposures with gross outliers start from least absolute residuals and then Geman-McClure weights. Stars
@@ -102,7 +97,7 @@ def fit_attitudes(
     (N, 3) apparent catalogue directions, GCRS axes; exposure k has the rows start[k]:start[k+1], perhaps
     none. One whose kept stars do not fix its attitude has `usable` False; nothing is raised.
     """
-    information = information_of_directions(u_s, cov_s)
+    information = sightings.information_of_directions(u_s, cov_s)
     variance = 0.5 * np.trace(cov_s, axis1=1, axis2=2)
     group = np.repeat(np.arange(len(start) - 1), np.diff(start))
     R_si = _refined(_wahba(u_s, u_i, 1.0 / variance, start), u_s, u_i, information, start, group)
@@ -128,7 +123,7 @@ def fit_attitudes(
     usable = (n_kept >= settings.fewest_stars) & (values[:, 0] > 1e-10 * values[:, 2]) & (values[:, 2] > 0.0)
     covariance = np.zeros_like(F_s)
     covariance[usable] = np.linalg.inv(F_s[usable])
-    return ExposureAttitudes(
+    return sightings.ExposureAttitudes(
         start=np.asarray(start, dtype=np.int64),
         R_si=R_si,
         covariance_s=covariance,

@@ -21,15 +21,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Transformer
 
+from boresight.geometry import terrain_rays
 from boresight.geometry.geodesy import distances_to_shell, geodetic_from_ecef, ray_ellipsoid_intersection
 from boresight.geometry.geoid import Geoid
-from boresight.geometry.terrain_rays import (
-    HeightBounds,
-    bilinear,
-    bounds_of_heights,
-    crossings_by_steps,
-    first_crossings,
-)
 from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 
 __all__ = [
@@ -115,7 +109,7 @@ class TerrainGrid:
         "6", "(a, b, c, d, e, f): x = a column + b row + c, y = d column + e row + f, pixel corners"
     )
     crs: str = scalar("horizontal CRS of x and y, as PROJ understands it")
-    bounds: HeightBounds = scalar("lowest and highest ground by tiles")
+    bounds: terrain_rays.HeightBounds = scalar("lowest and highest ground by tiles")
     local_map: LocalMap | None = scalar("latitude and longitude to column and row, 1e-7 px, if one exists")
 
     @staticmethod
@@ -140,11 +134,13 @@ class TerrainGrid:
         if geoid is not None:
             heights = _above_ellipsoid(heights, (a, b, c, d, e, f), crs, geoid)
         local_map = _local_map((a, b, c, d, e, f), heights.shape, crs)
-        return TerrainGrid(heights, (a, b, c, d, e, f), crs, bounds_of_heights(heights), local_map)
+        return TerrainGrid(
+            heights, (a, b, c, d, e, f), crs, terrain_rays.bounds_of_heights(heights), local_map
+        )
 
     def height_m(self, lat_rad: ArrayLike, lon_rad: ArrayLike) -> Floats:
         """Height above the ellipsoid, m, bilinear, elementwise; NaN at missing data or outside."""
-        return bilinear(self.heights_m, *self.pixels_from_geodetic(lat_rad, lon_rad))
+        return terrain_rays.bilinear(self.heights_m, *self.pixels_from_geodetic(lat_rad, lon_rad))
 
     def height_range_m(self) -> tuple[float, float]:
         """Lowest and highest height of the surface, m."""
@@ -276,7 +272,7 @@ def _on_relief(origin_e: Floats, direction_e: Floats, surface: Surface, low: flo
         middle, half = origin + (0.5 * (near + far)) * direction, (0.5 * (far - near)) * direction
         return np.asarray((middle + _shares_on_grid(middle, half, surface) * half).T)
     top, path = (origin + near * direction).T, ((far - near) * direction).T
-    share = crossings_by_steps(_RaysOverSurface(surface, top, path), len(top), _STEPS)
+    share = terrain_rays.crossings_by_steps(_RaysOverSurface(surface, top, path), len(top), _STEPS)
     return np.asarray(top + share[:, None] * path)
 
 
@@ -291,7 +287,7 @@ def _shares_on_grid(middle: Floats, half: Floats, grid: TerrainGrid) -> Floats:
     tracks = np.empty((degree + 1, 3, middle.shape[1]))
     for s, track in zip(_nodes(degree), tracks):
         track[:] = geodetic_from_ecef((middle + s * half).T)
-    return first_crossings(grid.heights_m, grid.bounds, grid.pixels_along_tracks(tracks))
+    return terrain_rays.first_crossings(grid.heights_m, grid.bounds, grid.pixels_along_tracks(tracks))
 
 
 def _nodes(degree: int) -> Floats:

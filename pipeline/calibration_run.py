@@ -29,6 +29,7 @@ from boresight.pipeline.files.whole_file import make_own_folder, write_json
 from boresight.pipeline.report.dumps_page import write_dumps_report
 from boresight.pipeline.report.evidence import write_evidence, write_joint_evidence
 from boresight.pipeline.report.page import write_no_result, write_report
+from boresight.pipeline.results import summary, writing
 from boresight.pipeline.results.folder import DUMPS, begin_result, results_in, store_of
 from boresight.pipeline.results.identity import write_about
 from boresight.pipeline.results.ownership import claimed
@@ -41,19 +42,6 @@ from boresight.pipeline.results.requirement import (
     write_requirement,
 )
 from boresight.pipeline.results.status import kept_units, saved_omissions
-from boresight.pipeline.results.summary import (
-    calibration_summary,
-    finding_lines,
-    joint_summary,
-    omission_lines,
-    verdict_lines,
-)
-from boresight.pipeline.results.writing import (
-    write_installation,
-    write_joint_result,
-    write_run,
-    write_sightings,
-)
 from boresight.pipeline.run.cached import Progress
 from boresight.pipeline.run.executor import Executor, InOrder
 from boresight.pipeline.run.run_inputs import RunInputs, inputs_of
@@ -123,8 +111,8 @@ def run_dump(out: Path, dump: Dump, named: str, request: RunRequest) -> RunOutco
         if (kept := _kept(out, inputs, request, write_report)) is not None:
             return kept
         found = _calibrated(out, dump, named, inputs, request)
-        log.debug("%s", "\n".join(omission_lines([entry.row for entry in found.omissions], None)))
-        return _outcome(out, calibration_summary(found, read_findings(out)), [found.verdict.outcome])
+        log.debug("%s", "\n".join(summary.omission_lines([entry.row for entry in found.omissions], None)))
+        return _outcome(out, summary.calibration_summary(found, read_findings(out)), [found.verdict.outcome])
 
 
 def run_dumps(out: Path, dumps: Sequence[NamedDump], request: RunRequest) -> RunOutcome:
@@ -159,10 +147,10 @@ def run_dumps(out: Path, dumps: Sequence[NamedDump], request: RunRequest) -> Run
                 calibrated.append((named, found))
         joint = calibrate_jointly(calibrated, failed, request.settings)
         of_dumps = {named.name: found for named, found in calibrated}
-        text = joint_summary(of_dumps, joint)
+        text = summary.joint_summary(of_dumps, joint)
         if len({named.dump.root for named, _ in calibrated}) > 1 and len(joint.estimate.cameras) == 1:
             text = "\n".join([text, *(further(out, list(of_dumps)) for further in request.after_joint)])
-        write_joint_result(out, joint, of_dumps, request.settings)
+        writing.write_joint_result(out, joint, of_dumps, request.settings)
         places = {named.name: str(named.dump.root) for named in dumps}
         _note(out, request, {"dumps": places, "inputs": inputs.digest()})
         if request.report:
@@ -184,12 +172,12 @@ def _calibrated(
         if request.report:
             write_no_result(out, dump, error)
         raise
-    write = partial(write_sightings, out, found)
+    write = partial(writing.write_sightings, out, found)
     if request.report:
         write_evidence(out, dump, found, request.settings, request.executor, [write])
     else:
         write()
-    write_installation(out, found, request.settings)
+    writing.write_installation(out, found, request.settings)
     counts = {"units_made": found.n_computed, "units_found": found.n_reused}
     _note(out, request, {"dump": named, "inputs": inputs.digest()}, counts)
     if request.report:
@@ -231,8 +219,8 @@ def _finished(out: Path) -> RunOutcome:
     for result in {out, *results_in(out)}:
         verdict = read_installation(result)["verdict"]
         outcomes.add(outcome := Outcome(verdict["outcome"]))
-        lines += verdict_lines(verdict) if outcome is not Outcome.CONSISTENT else []
-        lines += finding_lines(read_findings(result))
+        lines += summary.verdict_lines(verdict) if outcome is not Outcome.CONSISTENT else []
+        lines += summary.finding_lines(read_findings(result))
     return _outcome(out, "\n".join(lines), outcomes)
 
 
@@ -243,4 +231,4 @@ def _note(
         "finished_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         "elapsed_s": time.perf_counter() - request.begun_s,
     }
-    write_run(out, dumps | times | (counts or {}) | request.facts)
+    writing.write_run(out, dumps | times | (counts or {}) | request.facts)

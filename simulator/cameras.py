@@ -1,7 +1,5 @@
 """The two cameras of a scenario: as their makers calibrated them, and the line camera as it really is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -11,12 +9,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.installation import deviation_from_theta
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.geometry.star_camera import StarCamera
-from boresight.simulator.scenario import (
-    ErrorSettings,
-    InstallationSettings,
-    LineCameraSettings,
-    StarCameraSettings,
-)
+from boresight.simulator import scenario
 
 __all__ = [
     "calibrated_line_camera",
@@ -29,22 +22,13 @@ __all__ = [
 Array = NDArray[np.float64]
 
 
-def star_camera(settings: StarCameraSettings) -> StarCamera:
+def star_camera(settings: scenario.StarCameraSettings) -> StarCamera:
     """The star camera (paper, Table 2); simulated images are exactly those of its calibration."""
-    return StarCamera(
-        focal_m=settings.focal_mm * 1e-3,
-        pixel_m=settings.pixel_um * 1e-6,
-        width_px=settings.width_px,
-        height_px=settings.height_px,
-        principal_px=settings.principal_px,
-        p1=settings.p1,
-        p2=settings.p2,
-        q1=settings.q1,
-        q2=settings.q2,
-    )
+    same = {name: getattr(settings, name) for name in "width_px height_px principal_px p1 p2 q1 q2".split()}
+    return StarCamera(focal_m=settings.focal_mm * 1e-3, pixel_m=settings.pixel_um * 1e-6, **same)
 
 
-def calibrated_line_camera(settings: LineCameraSettings) -> LineCamera:
+def calibrated_line_camera(settings: scenario.LineCameraSettings) -> LineCamera:
     """The remote-sensing camera as calibrated (paper, Table 3): every CCD with the same distortion table.
 
     The table is filled by `offset = -(a r^3 + b r^5)`, r from the principal sample, through the two printed
@@ -78,7 +62,7 @@ def calibrated_line_camera(settings: LineCameraSettings) -> LineCamera:
 
 
 def distorted_line_camera(
-    calibrated: LineCamera, errors: ErrorSettings, rng: np.random.Generator
+    calibrated: LineCamera, errors: scenario.ErrorSettings, rng: np.random.Generator
 ) -> LineCamera:
     """The camera as it is: on top of the tables a smooth Gaussian process along the detectors, another one
     across them, of the same rms, and what each CCD has for itself (`ErrorSettings.ccd_px`).
@@ -119,7 +103,7 @@ def _own_of_ccd(samples: Array, rms_px: tuple[float, float, float], rng: np.rand
     return np.asarray((rng.standard_normal(3) * rms_px) @ shapes)
 
 
-def measured_installation(settings: InstallationSettings) -> Rotation:
+def measured_installation(settings: scenario.InstallationSettings) -> Rotation:
     """R_cs0: star camera -> remote-sensing camera, as measured on the ground."""
     tilt, azimuth = np.radians(settings.zenith_distance_deg), np.radians(settings.azimuth_deg)
     z_c = np.array([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), -np.cos(tilt)])
@@ -128,12 +112,12 @@ def measured_installation(settings: InstallationSettings) -> Rotation:
     return Rotation.from_matrix(axes) * Rotation.from_rotvec([0.0, 0.0, np.radians(settings.turn_deg)])
 
 
-def installation_of_scenario(settings: InstallationSettings) -> Rotation:
+def installation_of_scenario(settings: scenario.InstallationSettings) -> Rotation:
     """True R_cs of a scenario, exp[[theta]] R_cs0 (paper, eqs. 11, 12 and 28)."""
     return deviation_from_theta(np.array(settings.theta_rad)) * measured_installation(settings)
 
 
-def _distortion_law_m(samples: Array, settings: LineCameraSettings) -> Array:
+def _distortion_law_m(samples: Array, settings: scenario.LineCameraSettings) -> Array:
     known = np.array(settings.distortion_um)
     r = known[:, 0] - settings.principal_sample
     a, b = np.linalg.solve(np.column_stack([r**3, r**5]), known[:, 1] * 1e-6)

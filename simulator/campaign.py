@@ -19,17 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from boresight.geometry import sightings
 from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.constants import ARCSEC, GM_EARTH, WGS84
 from boresight.geometry.gyro import GyroNoise
 from boresight.geometry.line_camera import LineSensor
-from boresight.geometry.sightings import (
-    GroundSightings,
-    StarSightings,
-    StripSightings,
-    VectorSets,
-    isotropic_covariance,
-)
 from boresight.records.record import array, record, scalar
 
 __all__ = [
@@ -154,7 +148,7 @@ class StripTruth:
 
 def draw_strips(
     plan: StripPlan, cameras: CameraPair, rng: np.random.Generator, *, curve: DistortionCurve | None = None
-) -> tuple[list[StripSightings], StripTruth]:
+) -> tuple[list[sightings.StripSightings], StripTruth]:
     """Strips of one campaign with noise drawn from `rng`, and with the camera's distortion `curve`; None:
     drawn too.
     """
@@ -192,7 +186,7 @@ def draw_frames(
     rng: np.random.Generator,
     *,
     noise: bool = True,
-) -> VectorSets:
+) -> sightings.VectorSets:
     """The paper's frames: one attitude each, stars and targets over the whole fields, white noise (or none
     yet).
 
@@ -213,7 +207,7 @@ def draw_frames(
     v_stars = R_ic[np.repeat(np.arange(n_frames), np.diff(star_start))].apply(cameras.R_cs.apply(u_s))
     v_targets = R_ic[np.repeat(np.arange(n_frames), targets)].apply(w_c)
     sigma_s, sigma_c = sigma_s_px * cameras.star_pixel_rad, sigma_c_px * cameras.pixel_rad
-    exact = VectorSets(
+    exact = sightings.VectorSets(
         star_start=star_start.astype(np.int64),
         u_s=u_s,
         v_stars=v_stars,
@@ -226,7 +220,7 @@ def draw_frames(
     return noisy_frames(exact, rng) if noise else exact
 
 
-def noisy_frames(frames: VectorSets, rng: np.random.Generator) -> VectorSets:
+def noisy_frames(frames: sightings.VectorSets, rng: np.random.Generator) -> sightings.VectorSets:
     """Frames with new noise, of their own sigmas, on both cameras' vectors."""
     return replace(
         frames,
@@ -339,7 +333,7 @@ def _draw_strip(
     curve: DistortionCurve,
     survey_i: Array | None,
     rng: np.random.Generator,
-) -> tuple[StripSightings, StripTruth]:
+) -> tuple[sightings.StripSightings, StripTruth]:
     (name, begin_s), margin = begins, plan.exposure_margin_s
     motion = DrawnStripMotion.draw(plan, begin_s, rng)
     since: Array = np.linspace(-margin, plan.duration_s + margin, plan.exposures, dtype=np.float64)
@@ -352,7 +346,7 @@ def _draw_strip(
     rows = t, R_oi, motion.R_co(t) * R_oi
     shared = curve, survey_i
     ground, wrong_rows, look_c, error_m = draw_targets(name, rows, plan, cameras, motion, shared, rng)
-    strip = StripSightings(
+    strip = sightings.StripSightings(
         strip_id=name, exposures=exposures, ground=ground, R_oi_exposures=R_oi_stars, R_oi_targets=R_oi
     )
     wrong_targets = frozenset((name, row) for row in wrong_rows)
@@ -363,7 +357,7 @@ def _draw_strip(
 
 def draw_exposures(
     name: str, t: Array, plan: StripPlan, cameras: CameraPair, R_ci: Rotation, rng: np.random.Generator
-) -> tuple[tuple[StarSightings, ...], set[tuple[str, str, int]]]:
+) -> tuple[tuple[sightings.StarSightings, ...], set[tuple[str, str, int]]]:
     """Exposures at instants (K,) of attitudes (K,), and the gross errors: strip, exposure, row."""
     K, n = len(t), plan.stars
     R_is = (R_ci.inv() * cameras.R_cs).as_matrix()
@@ -374,11 +368,11 @@ def draw_exposures(
     u_i = named @ np.swapaxes(R_is, 1, 2)
     u_s = noisy(truth, sigma, rng)
     xy_px = -u_s[..., :2] / u_s[..., 2:] / cameras.star_pixel_rad
-    covariance = isotropic_covariance(u_s.reshape(-1, 3), sigma).reshape(K, n, 3, 3)
+    covariance = sightings.isotropic_covariance(u_s.reshape(-1, 3), sigma).reshape(K, n, 3, 3)
     hip = np.arange(1, n + 1, dtype=np.int64)
     ids = [f"{name}/{k:03d}" for k in range(K)]
     exposures = tuple(
-        StarSightings(
+        sightings.StarSightings(
             exposure_id=ids[k],
             t_s=float(t[k]),
             hip=hip,
@@ -401,7 +395,7 @@ def draw_targets(
     shared: tuple[DistortionCurve, Array | None],
     rng: np.random.Generator,
     error_m: Array | None = None,
-) -> tuple[GroundSightings, list[int], Array, Array]:
+) -> tuple[sightings.GroundSightings, list[int], Array, Array]:
     """Targets at rows of recorded times (J,), of which R_oi and R_ci are known; the error of the position is
     drawn unless it is given.
     """
@@ -429,14 +423,14 @@ def draw_targets(
     sigma = plan.sigma_c_px * px
     look_c = unit(seen)
     measured = noisy(look_c, sigma, rng)
-    ground = GroundSightings(
+    ground = sightings.GroundSightings(
         target_id=np.array([f"{prefix}/{j:03d}" for j in range(J)], dtype=str),
         ccd=ccd,
         xy_px=np.column_stack([sample, t - motion.begin_s]),
         t_s=t,
         u_c=measured,
         u_i=(known_i - recorded_i) / range_m[:, None],
-        cov_c=isotropic_covariance(measured, sigma),
+        cov_c=sightings.isotropic_covariance(measured, sigma),
         range_m=range_m,
         v_rel_i=motion.velocity_i(t),
         cov_target_i=np.tile(plan.sigma_target_m**2 * np.eye(3), (J, 1, 1)),
@@ -488,7 +482,7 @@ def draw_sky_strips(
     rates_rad_s: tuple[float, ...] = (-0.0145, 0.0145),
     sigma_star_rad: float = 0.0,
     curve: DistortionCurve | None = None,
-) -> list[StripSightings]:
+) -> list[sightings.StripSightings]:
     """Strips of one campaign of `plan.strips` scans, at the rates in turn (10 m camera: a row of 1 µrad in
     0.07 ms). `plan.targets` is the number of stars a strip, `sigma_star_rad` the error of their catalogue,
     `curve` the camera's distortion; None: drawn here.
@@ -510,7 +504,7 @@ def _draw_sky_strip(
     curve: DistortionCurve,
     sigma_star_rad: float,
     rng: np.random.Generator,
-) -> StripSightings:
+) -> sightings.StripSightings:
     margin, J, waves = plan.exposure_margin_s, plan.targets, Waves.draw(plan, rng)
 
     def R_ci(t_s: Array) -> Rotation:
@@ -529,17 +523,17 @@ def _draw_sky_strip(
     seen = unit(assumed_c + np.pad(curve.at(ccd, sample), ((0, 0), (0, 1))))
     sigma = plan.sigma_c_px * cameras.pixel_rad
     measured = noisy(seen, sigma, rng)
-    stars = GroundSightings.of_stars(
+    stars = sightings.GroundSightings.of_stars(
         target_id=np.array([f"HIP {1000 * int(name[3:]) + j}" for j in range(J)], dtype=str),
         ccd=ccd,
         xy_px=np.column_stack([sample, t - scan.t_s]),
         t_s=t,
         u_c=measured,
         u_i=catalogue_i,
-        cov_c=isotropic_covariance(measured, sigma),
-        cov_target_i=isotropic_covariance(catalogue_i, sigma_star_rad),
+        cov_c=sightings.isotropic_covariance(measured, sigma),
+        cov_target_i=sightings.isotropic_covariance(catalogue_i, sigma_star_rad),
     )
-    return StripSightings(
+    return sightings.StripSightings(
         strip_id=name,
         exposures=exposures,
         ground=stars,

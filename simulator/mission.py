@@ -8,7 +8,7 @@ from its own stream of random numbers, so that a setting which is changed leaves
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -29,13 +29,7 @@ from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.starlight import StarPlaces, SurveyedStars
 from boresight.geometry.terrain import ConstantHeight, TerrainGrid
 from boresight.records.record import record
-from boresight.simulator.cameras import (
-    calibrated_line_camera,
-    distorted_line_camera,
-    installation_of_scenario,
-    measured_installation,
-    star_camera,
-)
+from boresight.simulator import cameras, mission_records
 from boresight.simulator.ground import (
     CHIP_TILE,
     TILE,
@@ -46,23 +40,11 @@ from boresight.simulator.ground import (
     ProceduralGround,
 )
 from boresight.simulator.ground_targets import Placed, draw_check_points, place_targets
-from boresight.simulator.mission_records import (
-    Installation,
-    Mission,
-    RenderedExposure,
-    RenderedStrip,
-    StatedErrors,
-    TerrainReport,
-    TrueExposure,
-    TruePoint,
-    TrueStrip,
-    Truth,
-)
 from boresight.simulator.motion import TrueAttitude, flown_orbit, reported_orbit, scan_attitude, true_attitude
 from boresight.simulator.relief import relief_grid
 from boresight.simulator.rendered_stars import StarField, with_invented_stars
 from boresight.simulator.scan import TrueScene, all_panels, needed_sample_step, panels_near, scan
-from boresight.simulator.scenario import Scenario
+from boresight.simulator.scenario import Scenario, SkyStripSettings, StripSettings
 from boresight.simulator.sky import hot_pixels
 from boresight.simulator.sky_scan import SkyScene, hot_columns, sky_around, sky_strip
 
@@ -86,7 +68,7 @@ def render_mission(
     seed: int,
     ground_image: GroundImage | None = None,
     survey: SurveyedStars | None = None,
-) -> Mission:
+) -> mission_records.Mission:
     """A mission simulated from a scenario; equal seeds give equal bytes. `ValueError` if it is inconsistent.
 
     `stars` are all that are rendered, those unfit for calibration included; heights refer to `geoid`;
@@ -99,37 +81,37 @@ def render_mission(
         raise ValueError(
             f"ground.image is {scenario.ground.image!r}: ground_image goes with it, or not at all"
         )
-    plan = _Plan.of(scenario)
-    world = _World.of(scenario, plan, table, seed)
+    plan = _Plan.of(scenario, seed)
+    world = _World.of(plan, table)
     has_ground = scenario.strips.count > 0
-    scenes, terrain = _scenes(scenario, plan, world, geoid, seed, ground_image) if has_ground else ([], None)
-    targets, checks = _ground_points(scenario, plan, scenes, geoid, seed, ground_image)
-    sky = _star_field(scenario, stars, world, seed)
-    scans = _sky_scenes(scenario, plan, world, survey, seed) if survey is not None else []
+    scenes, terrain = _scenes(plan, world, geoid, ground_image) if has_ground else ([], None)
+    targets, checks = _ground_points(plan, scenes, geoid, ground_image)
+    sky = _star_field(plan, stars, world)
+    scans = _sky_scenes(plan, world, survey) if survey is not None else []
     strips = len(plan.strip_ids) + len(scans)
-    position_e = _rng(seed, "gps").standard_normal((strips, 3)) * scenario.errors.gps_m
-    clock_s = _rng(seed, "clock").standard_normal(strips) * scenario.errors.clock_s
-    R_cs0 = measured_installation(scenario.installation)
+    position_e = plan.rng("gps").standard_normal((strips, 3)) * scenario.errors.gps_m
+    clock_s = plan.rng("clock").standard_normal(strips) * scenario.errors.clock_s
+    R_cs0 = cameras.measured_installation(scenario.installation)
     # a strip's error of the receiver's ephemeris holds as far around it as the spacing allows, 6 s at most
     hold_s = 0.5 * plan.strip_s + min(6.0, 0.3 * (scenario.strips.spacing_s - plan.strip_s))
     middles = plan.strips_s + 0.5 * plan.strip_s
-    return Mission(
+    return mission_records.Mission(
         scenario=scenario,
         epoch=world.orbit.epoch,
         orbit=reported_orbit(world.orbit, plan.oem_s, middles, position_e, hold_s),
         star_camera=sky.camera,
-        line_camera=calibrated_line_camera(scenario.line_camera),
-        installation=Installation(R_cs0, np.array(scenario.installation.sigma_rad)),
+        line_camera=cameras.calibrated_line_camera(scenario.line_camera),
+        installation=mission_records.Installation(R_cs0, np.array(scenario.installation.sigma_rad)),
         errors=_stated(scenario),
-        exposures=_exposures(scenario, plan, sky, scans, seed),
+        exposures=_exposures(plan, sky, scans),
         strips=(
-            *_strips(scenario, plan, scenes, targets, clock_s, seed),
-            *_sky_strips(scenario, scans, clock_s[len(plan.strip_ids) :], seed),
+            *_strips(plan, scenes, targets, clock_s),
+            *_sky_strips(plan, scans, clock_s[len(plan.strip_ids) :]),
         ),
         targets=tuple(item.target for item in targets),
         chips=tuple(item.chip for item in targets),
         terrain=terrain,
-        truth=Truth(
+        truth=mission_records.Truth(
             seed=seed,
             R_cs=world.attitude.R_cs,
             theta_rad=np.array(scenario.installation.theta_rad),
@@ -138,20 +120,27 @@ def render_mission(
             t_attitude_s=plan.attitude_s,
             R_ci=_attitudes(plan, world, scans),
             strips=tuple(
-                map(TrueStrip, (*plan.strip_ids, *(s.strip_id for s in scans)), clock_s.tolist(), position_e)
+                map(
+                    mission_records.TrueStrip,
+                    (*plan.strip_ids, *(s.strip_id for s in scans)),
+                    clock_s.tolist(),
+                    position_e,
+                )
             ),
             targets=tuple(point for item in targets for point in item.truth),
             check_points=tuple(checks),
             sky_stars=tuple(star for scene in scans for star in scene.truth()),
-            exposure=partial(_true_exposure, sky, scans, scenario.star_camera.exposure_s, plan),
+            exposure=partial(_true_exposure, plan, sky, scans),
         ),
     )
 
 
 @record
 class _Plan:
-    """When everything happens; seconds since the mission's epoch."""
+    """What is flown, and when everything happens; seconds since the mission's epoch."""
 
+    scenario: Scenario
+    seed: int
     epoch: Epoch
     strip_ids: tuple[str, ...]
     strips_s: Array  # (S,) first row of each strip
@@ -164,7 +153,7 @@ class _Plan:
     attitude_s: Array  # instants of the true attitudes
 
     @staticmethod
-    def of(scenario: Scenario) -> _Plan:
+    def of(scenario: Scenario, seed: int) -> _Plan:
         s, rate = scenario.strips, scenario.star_camera.rate_hz
         first = s.first_s + s.spacing_s * np.arange(s.count)
         duration = s.lines * s.row_period_s
@@ -182,6 +171,8 @@ class _Plan:
         nodes = np.floor((exposures[0] - margin) / step), np.ceil((exposures[-1] + margin) / step)
         oem = np.arange(nodes[0], nodes[1] + 1.0)
         return _Plan(
+            scenario=scenario,
+            seed=seed,
             epoch=Epoch.from_utc(scenario.epoch_utc),
             strip_ids=tuple(f"s{n + 1:02d}" for n in range(s.count)),
             strips_s=np.asarray(first, dtype=float),
@@ -194,6 +185,14 @@ class _Plan:
             attitude_s=np.concatenate([_every_millisecond(t, lasts) for t, lasts, _ in starts]),
         )
 
+    def rng(self, name: str, *index: int) -> np.random.Generator:
+        """The stream of random numbers of one purpose."""
+        return np.random.default_rng([self.seed, zlib.crc32(name.encode()), *index])
+
+    def key(self, name: str) -> int:
+        """A number of one purpose, by which hashes differ."""
+        return int(self.rng(name).integers(2**31))
+
 
 @record
 class _World:
@@ -205,15 +204,16 @@ class _World:
     line_camera: LineCamera
 
     @staticmethod
-    def of(scenario: Scenario, plan: _Plan, table: EarthOrientationTable, seed: int) -> _World:
+    def of(plan: _Plan, table: EarthOrientationTable) -> _World:
+        scenario = plan.scenario
         start, stop = min(plan.oem_s[0], 0.0) - _EARTH_MARGIN_S, plan.oem_s[-1] + _EARTH_MARGIN_S
         earth = EarthRotation.over(plan.epoch, start - 5.0, stop + 5.0, table)
         orbit = flown_orbit(scenario.orbit, start - 4.0, stop + 4.0, earth)
-        R_cs = installation_of_scenario(scenario.installation)
-        chance = _rng(seed, "attitude")
+        R_cs = cameras.installation_of_scenario(scenario.installation)
+        chance = plan.rng("attitude")
         attitude = true_attitude(scenario.attitude, scenario.errors, R_cs, orbit, earth, chance)
-        calibrated = calibrated_line_camera(scenario.line_camera)
-        camera = distorted_line_camera(calibrated, scenario.errors, _rng(seed, "distortion"))
+        calibrated = cameras.calibrated_line_camera(scenario.line_camera)
+        camera = cameras.distorted_line_camera(calibrated, scenario.errors, plan.rng("distortion"))
         return _World(earth, orbit, attitude, camera)
 
 
@@ -228,11 +228,9 @@ def _every_millisecond(first_s: float, duration_s: float) -> Array:
     return np.arange(first_s, first_s + duration_s, 1e-3, dtype=np.float64)
 
 
-def _sky_scenes(
-    scenario: Scenario, plan: _Plan, world: _World, survey: SurveyedStars, seed: int
-) -> list[SkyScene]:
+def _sky_scenes(plan: _Plan, world: _World, survey: SurveyedStars) -> list[SkyScene]:
     """The true geometry of each scan of the sky, and the stars around it."""
-    settings, scenes = scenario.sky_strips, []
+    settings, scenes = plan.scenario.sky_strips, []
     pixel_rad = world.line_camera.pixel_rad
     swath_rad = world.line_camera.n_ccds * world.line_camera.n_px(0) * pixel_rad
     for n, (planned, first_s) in enumerate(zip(settings.scans, plan.scans_s.tolist())):
@@ -240,7 +238,7 @@ def _sky_scenes(
         attitude = scan_attitude(planned, world.attitude, middle_s, pixel_rad, settings.row_period_s)
         long_rad = float(np.hypot(planned.rate, planned.drift)) * settings.lines * pixel_rad
         radius = 0.5 * float(np.hypot(swath_rad, long_rad)) + _SKY_MARGIN_RAD
-        chance = _rng(seed, "sky stars", n)
+        chance = plan.rng("sky stars", n)
         scenes.append(
             SkyScene(
                 strip_id=f"sky{n + 1:02d}",
@@ -257,40 +255,26 @@ def _sky_scenes(
 
 
 def _sky_strips(
-    scenario: Scenario, scans: list[SkyScene], clock_s: Array, seed: int
-) -> tuple[RenderedStrip, ...]:
+    plan: _Plan, scans: list[SkyScene], clock_s: Array
+) -> tuple[mission_records.RenderedStrip, ...]:
     """Every CCD of every scan; the time of the first row on the camera's clock."""
+    scenario, gains = plan.scenario, _gains(plan)
     camera, settings, detector = scenario.line_camera, scenario.sky_strips, scenario.ground
-    gains = _gains(scenario, seed)
-    hot = [
-        hot_columns(camera.samples, settings, _rng(seed, "hot columns", ccd)) for ccd in range(camera.ccds)
-    ]
+    hot = [hot_columns(camera.samples, settings, plan.rng("hot columns", ccd)) for ccd in range(camera.ccds)]
 
     def render(n: int, ccd: int, rows: int) -> Iterator[NDArray[Any]]:
-        chance = _rng(seed, "sky strip", n, ccd)
+        chance = plan.rng("sky strip", n, ccd)
         return sky_strip(scans[n], ccd, detector, gains[ccd], hot[ccd], chance, rows)
 
-    return tuple(
-        RenderedStrip(
-            strip_id=scene.strip_id,
-            ccd=ccd,
-            lines=settings.lines,
-            samples=camera.samples,
-            t_first_row_s=float(scene.rows.t_first_row_s + clock_s[n]),
-            row_period_s=settings.row_period_s,
-            bits=detector.bits,
-            blocks=partial(render, n, ccd),
-            kind="sky",
-        )
-        for n, scene in enumerate(scans)
-        for ccd in range(camera.ccds)
-    )
+    first_s = {scene.strip_id: float(scene.rows.t_first_row_s + clock_s[n]) for n, scene in enumerate(scans)}
+    return _of_ccds(plan, settings, first_s, render, "sky")
 
 
 def _scenes(
-    scenario: Scenario, plan: _Plan, world: _World, geoid: Geoid, seed: int, ground_image: GroundImage | None
-) -> tuple[list[TrueScene], TerrainReport]:
+    plan: _Plan, world: _World, geoid: Geoid, ground_image: GroundImage | None
+) -> tuple[list[TrueScene], mission_records.TerrainReport]:
     """The true geometry of each strip over the true terrain, and the terrain as the user gets it."""
+    scenario = plan.scenario
     models = [
         Pushbroom(
             camera=world.line_camera,
@@ -304,7 +288,7 @@ def _scenes(
         for t in plan.strips_s
     ]
     boxes = np.array([_box_deg(model, scenario) for model in models])
-    heights, affine = relief_grid(boxes, scenario.terrain, _key(seed, "relief"))
+    heights, affine = relief_grid(boxes, scenario.terrain, plan.key("relief"))
     surface = TerrainGrid.from_raster(heights, affine, "EPSG:4326", geoid)
     scenes: list[TrueScene] = []
     grounds: dict[int, BlurredGround] = {}  # strips of one zone share their tiles
@@ -312,51 +296,44 @@ def _scenes(
         zone = int((0.5 * (west + east) + 180.0) % 360.0 // 6.0) + 1  # of UTM
         epsg = (32600 if 0.5 * (south + north) >= 0.0 else 32700) + zone
         if epsg not in grounds:
-            grounds[epsg] = _seen_ground(scenario, epsg, seed, ground_image, date=1)
+            grounds[epsg] = _seen_ground(plan, epsg, ground_image, date=1)
         last = float(scenario.strips.lines + 64)
         step = needed_sample_step(model, surface, scenario.strips.lines)
         scenes.append(TrueScene(model.tabulated(-64.0, last), surface, epsg, grounds[epsg], step))
-    error = scenario.terrain.error_m * _rng(seed, "terrain error").standard_normal(heights.shape)
+    error = scenario.terrain.error_m * plan.rng("terrain error").standard_normal(heights.shape)
     reported = (heights + error).astype(np.float32)
-    return scenes, TerrainReport(reported, affine, scenario.terrain.error_m)
+    return scenes, mission_records.TerrainReport(reported, affine, scenario.terrain.error_m)
 
 
 def _ground_points(
-    scenario: Scenario,
-    plan: _Plan,
-    scenes: list[TrueScene],
-    geoid: Geoid,
-    seed: int,
-    ground_image: GroundImage | None,
-) -> tuple[list[Placed], list[TruePoint]]:
+    plan: _Plan, scenes: list[TrueScene], geoid: Geoid, ground_image: GroundImage | None
+) -> tuple[list[Placed], list[mission_records.TruePoint]]:
     """Targets that some CCD sees, and check points, of all strips."""
     targets: list[Placed] = []
-    checks: list[TruePoint] = []
+    checks: list[mission_records.TruePoint] = []
     references: dict[int, BlurredGround] = {}
-    lines = scenario.strips.lines
+    scenario, lines = plan.scenario, plan.scenario.strips.lines
     for n, (strip_id, scene) in enumerate(zip(plan.strip_ids, scenes)):
-        chance = _rng(seed, "targets", n)
+        chance = plan.rng("targets", n)
         if scene.epsg not in references:
-            references[scene.epsg] = _seen_ground(scenario, scene.epsg, seed, ground_image, date=0)
+            references[scene.epsg] = _seen_ground(plan, scene.epsg, ground_image, date=0)
         reference = references[scene.epsg]
         pixel_m = scenario.ground_pixel_m
         targets += place_targets(strip_id, scene, lines, reference, pixel_m, scenario.targets, geoid, chance)
-        chance = _rng(seed, "check points", n)
+        chance = plan.rng("check points", n)
         checks += draw_check_points(strip_id, scene, lines, scenario.targets.check_points_per_strip, chance)
     return [item for item in targets if item.truth], checks
 
 
-def _seen_ground(
-    scenario: Scenario, epsg: int, seed: int, ground_image: GroundImage | None, date: int
-) -> BlurredGround:
+def _seen_ground(plan: _Plan, epsg: int, ground_image: GroundImage | None, date: int) -> BlurredGround:
     """The ground as the strips' optics show it (date 1), or the reference image's (date 0)."""
-    settings, targets = scenario.ground, scenario.targets
-    texel_m = scenario.ground_pixel_m / settings.texels_per_pixel
+    settings, targets = plan.scenario.ground, plan.scenario.targets
+    texel_m = plan.scenario.ground_pixel_m / settings.texels_per_pixel
     ground: Ground
     if ground_image is not None:
         ground = ImageGround(ground_image, texel_m, epsg)
     else:
-        ground = ProceduralGround(settings, texel_m, _key(seed, "ground"), date)
+        ground = ProceduralGround(settings, texel_m, plan.key("ground"), date)
     if date == 1:
         sigma_px = gaussian_sigma_px(settings.mtf_nyquist)
     else:
@@ -364,11 +341,10 @@ def _seen_ground(
     return BlurredGround(ground, sigma_px * settings.texels_per_pixel, TILE if date == 1 else CHIP_TILE)
 
 
-def _star_field(scenario: Scenario, stars: StarPlaces, world: _World, seed: int) -> StarField:
-    camera = star_camera(scenario.star_camera)
-    sky = scenario.sky
-    shining = with_invented_stars(stars, sky, _rng(seed, "invented stars"))
-    hot = hot_pixels(camera.width_px, camera.height_px, sky, _rng(seed, "hot pixels"))
+def _star_field(plan: _Plan, stars: StarPlaces, world: _World) -> StarField:
+    camera, sky = cameras.star_camera(plan.scenario.star_camera), plan.scenario.sky
+    shining = with_invented_stars(stars, sky, plan.rng("invented stars"))
+    hot = hot_pixels(camera.width_px, camera.height_px, sky, plan.rng("hot pixels"))
     return StarField(
         camera=camera, sky=sky, stars=shining, orbit=world.orbit, attitude=world.attitude, hot=hot
     )
@@ -380,26 +356,26 @@ def _seen_during(sky: StarField, scans: list[SkyScene], scan: int) -> StarField:
 
 
 def _exposures(
-    scenario: Scenario, plan: _Plan, sky: StarField, scans: list[SkyScene], seed: int
-) -> tuple[RenderedExposure, ...]:
-    duration = scenario.star_camera.exposure_s
+    plan: _Plan, sky: StarField, scans: list[SkyScene]
+) -> tuple[mission_records.RenderedExposure, ...]:
+    duration = plan.scenario.star_camera.exposure_s
 
     def render(n: int) -> NDArray[Any]:
         seen = _seen_during(sky, scans, int(plan.scan_of[n]))
-        return seen.image(float(plan.exposures_s[n]), duration, _rng(seed, "exposure", n))
+        return seen.image(float(plan.exposures_s[n]), duration, plan.rng("exposure", n))
 
     return tuple(
-        RenderedExposure(_exposure_id(n), float(t), duration, partial(render, n))
+        mission_records.RenderedExposure(_exposure_id(n), float(t), duration, partial(render, n))
         for n, t in enumerate(plan.exposures_s)
     )
 
 
 def _true_exposure(
-    sky: StarField, scans: list[SkyScene], exposure_s: float, plan: _Plan, exposure_id: str
-) -> TrueExposure:
+    plan: _Plan, sky: StarField, scans: list[SkyScene], exposure_id: str
+) -> mission_records.TrueExposure:
     n = {_exposure_id(n): n for n in range(len(plan.exposures_s))}[exposure_id]
     seen = _seen_during(sky, scans, int(plan.scan_of[n]))
-    return seen.truth(exposure_id, float(plan.exposures_s[n]), exposure_s)
+    return seen.truth(exposure_id, float(plan.exposures_s[n]), plan.scenario.star_camera.exposure_s)
 
 
 def _exposure_id(n: int) -> str:
@@ -407,14 +383,14 @@ def _exposure_id(n: int) -> str:
 
 
 def _strips(
-    scenario: Scenario, plan: _Plan, scenes: list[TrueScene], targets: list[Placed], clock_s: Array, seed: int
-) -> tuple[RenderedStrip, ...]:
+    plan: _Plan, scenes: list[TrueScene], targets: list[Placed], clock_s: Array
+) -> tuple[mission_records.RenderedStrip, ...]:
     """Every CCD of every strip; the time of the first row on the camera's clock."""
+    scenario, gains = plan.scenario, _gains(plan)
     camera, s, ground = scenario.line_camera, scenario.strips, scenario.ground
-    gains = _gains(scenario, seed)
 
     def render(n: int, ccd: int, rows: int) -> Iterator[NDArray[Any]]:
-        chance = _rng(seed, "strip", n, ccd)
+        chance = plan.rng("strip", n, ccd)
         return scan(scenes[n], ccd, s.lines, ground, gains[ccd], chance, rows, wanted(n, ccd))
 
     def wanted(n: int, ccd: int) -> NDArray[np.bool_]:
@@ -424,32 +400,46 @@ def _strips(
         places = np.array([(p.sample, p.line) for p in seen]).reshape(-1, 2)
         return panels_near(places, s.only_around_targets_px, s.lines, camera.samples)
 
+    first_s = (plan.strips_s + clock_s[: s.count]).tolist()
+    return _of_ccds(plan, s, dict(zip(plan.strip_ids, first_s)), render, "ground")
+
+
+def _of_ccds(
+    plan: _Plan,
+    settings: StripSettings | SkyStripSettings,
+    first_s: dict[str, float],
+    render: Callable[[int, int, int], Iterator[NDArray[Any]]],
+    kind: str,
+) -> tuple[mission_records.RenderedStrip, ...]:
+    """Every CCD of strips, whose first rows are at `first_s`; `render` takes strip, CCD and rows at once."""
+    camera = plan.scenario.line_camera
     return tuple(
-        RenderedStrip(
-            strip_id=plan.strip_ids[n],
+        mission_records.RenderedStrip(
+            strip_id=strip_id,
             ccd=ccd,
-            lines=s.lines,
+            lines=settings.lines,
             samples=camera.samples,
-            t_first_row_s=float(plan.strips_s[n] + clock_s[n]),
-            row_period_s=s.row_period_s,
-            bits=ground.bits,
+            t_first_row_s=t_s,
+            row_period_s=settings.row_period_s,
+            bits=plan.scenario.ground.bits,
             blocks=partial(render, n, ccd),
+            kind=kind,
         )
-        for n in range(s.count)
+        for n, (strip_id, t_s) in enumerate(first_s.items())
         for ccd in range(camera.ccds)
     )
 
 
-def _gains(scenario: Scenario, seed: int) -> list[NDArray[np.float32]]:
+def _gains(plan: _Plan) -> list[NDArray[np.float32]]:
     """Sensitivity of each pixel of each CCD."""
-    camera, sigma = scenario.line_camera, scenario.ground.pixel_gain_sigma
-    spread = [_rng(seed, "gain", ccd).standard_normal(camera.samples) for ccd in range(camera.ccds)]
+    camera, sigma = plan.scenario.line_camera, plan.scenario.ground.pixel_gain_sigma
+    spread = [plan.rng("gain", ccd).standard_normal(camera.samples) for ccd in range(camera.ccds)]
     return [(1.0 + sigma * each).astype(np.float32) for each in spread]
 
 
-def _stated(scenario: Scenario) -> StatedErrors:
+def _stated(scenario: Scenario) -> mission_records.StatedErrors:
     errors = scenario.errors
-    return StatedErrors(
+    return mission_records.StatedErrors(
         position_m=errors.gps_m,
         clock_s=errors.clock_s,
         vibration_arcsec=errors.vibration_arcsec,
@@ -476,12 +466,3 @@ def _box_deg(model: Pushbroom, scenario: Scenario) -> tuple[float, float, float,
         float(lat_deg.max() + _MARGIN_DEG),
         float(lon_deg.max() + wide),
     )
-
-
-def _rng(seed: int, name: str, *index: int) -> np.random.Generator:
-    """The stream of random numbers of one purpose."""
-    return np.random.default_rng([seed, zlib.crc32(name.encode()), *index])
-
-
-def _key(seed: int, name: str) -> int:
-    return int(_rng(seed, name).integers(2**31))

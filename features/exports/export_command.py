@@ -1,7 +1,5 @@
 """`boresight export`: a result in formats that other tools read."""
 
-from __future__ import annotations
-
 import datetime
 from pathlib import Path
 from typing import Annotated
@@ -17,15 +15,11 @@ from boresight.features.exports.formats import (
     strips_left_out,
 )
 from boresight.features.exports.spice_export import SpiceFrames
-from boresight.pipeline.console.arguments import CameraOption, DumpOption, ResultArgument, StaleEop
+from boresight.pipeline.console.arguments import CameraOption, DumpOption, ResultArgument, StaleEop, option
 from boresight.pipeline.console.completion import among, strips_of
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer, say, tell
 
 __all__ = ["export_command"]
-
-
-ValidFrom = Annotated[str, typer.Option(help="First date of the matrix's use, UTC, such as 2026-03-01.")]
-ValidTo = Annotated[str, typer.Option(help="Last date of its use; both are written where a format has them.")]
 
 
 def export_command(
@@ -38,29 +32,23 @@ def export_command(
             autocompletion=among(FORMATS, several=True),
         ),
     ],
-    out: Annotated[Path | None, typer.Option(help="Folder for the files; default: RESULT/exports.")] = None,
+    out: Path | None = option("Folder for the files; default: RESULT/exports."),
     dump: DumpOption = None,
     camera: CameraOption = "",
-    strip: Annotated[
-        list[str] | None, typer.Option(help="Only this strip. May be repeated.", autocompletion=strips_of)
-    ] = None,
-    product: Annotated[Path | None, typer.Option(help="dimap, gipp: the operator's file.")] = None,
-    valid_from: ValidFrom = "",
-    valid_to: ValidTo = "",
-    object_id: Annotated[
-        str, typer.Option(help="aem, acm: OBJECT_ID, such as 2015-028A; default: the mission's name.")
-    ] = "",
+    strip: list[str] | None = option("Only this strip. May be repeated.", autocompletion=strips_of),
+    product: Path | None = option("dimap, gipp: the operator's file."),
+    valid_from: str = option("First date of the matrix's use, UTC, such as 2026-03-01.", ""),
+    valid_to: str = option("Last date of its use; both are written where a format has them.", ""),
+    object_id: str = option("aem, acm: OBJECT_ID, such as 2015-028A; default: the mission's name.", ""),
     allow_stale_eop: StaleEop = False,
-    spice_spacecraft: Annotated[int, typer.Option(help="SPICE: id of the spacecraft.")] = -999,
-    spice_star_camera: Annotated[
-        str, typer.Option(help="SPICE: name of the star camera's frame.")
-    ] = "BORESIGHT_STAR_CAMERA",
-    spice_remote_camera: Annotated[
-        str, typer.Option(help="SPICE: name of the remote-sensing camera's frame.")
-    ] = "BORESIGHT_REMOTE_CAMERA",
-    spice_known_star_camera: Annotated[
-        bool, typer.Option(help="SPICE: the star camera's frame is defined by other kernels.")
-    ] = False,
+    spice_spacecraft: int = option("SPICE: id of the spacecraft.", -999),
+    spice_star_camera: str = option("SPICE: name of the star camera's frame.", "BORESIGHT_STAR_CAMERA"),
+    spice_remote_camera: str = option(
+        "SPICE: name of the remote-sensing camera's frame.", "BORESIGHT_REMOTE_CAMERA"
+    ),
+    spice_known_star_camera: bool = option(
+        "SPICE: the star camera's frame is defined by other kernels.", False
+    ),
 ) -> Answer:
     """Write a result in formats that other tools read.
 

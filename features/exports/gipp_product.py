@@ -9,8 +9,6 @@ A processor is to take one of the two. Dates of applicability change where they 
 place for a covariance, which is in the format `calibration`.
 """
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

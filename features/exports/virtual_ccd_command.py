@@ -1,7 +1,5 @@
 """`boresight virtual-ccd`: the CCDs of one strip stitched to one ideal line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +7,7 @@ import typer
 
 from boresight.features.exports.ground_error import ground_error
 from boresight.features.exports.virtual_strip import write_virtual_strip
-from boresight.pipeline.console.arguments import CameraOption, DumpOption
+from boresight.pipeline.console.arguments import CameraOption, DumpOption, option
 from boresight.pipeline.console.completion import strips_of
 from boresight.pipeline.console.messages import tell
 from boresight.pipeline.files.terrain_files import surface_of
@@ -24,9 +22,7 @@ def virtual_ccd_command(
     out: Annotated[Path, typer.Option(help="GeoTIFF to write: float32 counts, NaN where no CCD looked.")],
     dump: DumpOption = None,
     camera: CameraOption = "",
-    height_m: Annotated[
-        float | None, typer.Option(help="Ellipsoidal height to stitch at instead of the terrain model.")
-    ] = None,
+    height_m: float | None = option("Ellipsoidal height to stitch at instead of the terrain model."),
 ) -> None:
     """Stitch the CCDs of one strip to one ideal line (paper, section 3.1), and write its RPC beside it.
 

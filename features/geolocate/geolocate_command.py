@@ -1,14 +1,12 @@
 """`boresight geolocate`: image points of a strip to places on the ground."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from boresight.features.geolocate.positions import ground_places, places_csv, read_pixels
-from boresight.pipeline.console.arguments import CameraOption, DumpOption, ResultArgument, StaleEop
+from boresight.pipeline.console.arguments import CameraOption, DumpOption, ResultArgument, StaleEop, option
 from boresight.pipeline.console.completion import strips_of
 from boresight.pipeline.console.messages import print_data, tell
 from boresight.pipeline.files.terrain_files import surface_of
@@ -24,10 +22,8 @@ def geolocate_command(
     pixels: Annotated[Path, typer.Option(help="CSV file with the columns ccd, sample, line.")],
     dump: DumpOption = None,
     camera: CameraOption = "",
-    out: Annotated[Path | None, typer.Option(help="CSV file to write; default: standard output.")] = None,
-    height_m: Annotated[
-        float | None, typer.Option(help="Take this ellipsoidal height instead of the terrain model.")
-    ] = None,
+    out: Path | None = option("CSV file to write; default: standard output."),
+    height_m: float | None = option("Take this ellipsoidal height instead of the terrain model."),
     allow_stale_eop: StaleEop = False,
 ) -> None:
     """Image points of a strip to latitude, longitude and height, with 1-sigma along and across the track.

@@ -1,15 +1,10 @@
 """`boresight heads`: the star cameras of a satellite aligned with one another."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from boresight.features.heads.alignment import heads_alone
 from boresight.features.heads.head_files import heads_json, heads_lines, write_heads
-from boresight.pipeline.console.arguments import DumpsArgument, SettingsFile
+from boresight.pipeline.console.arguments import DumpsArgument, SettingsFile, option
 from boresight.pipeline.console.messages import Answer
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.run.settings import read_settings
@@ -20,10 +15,7 @@ __all__ = ["heads_command"]
 
 def heads_command(
     dumps: DumpsArgument,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder for heads.json and heads.png; of several dumps, one in it for each."),
-    ] = None,
+    out: Path | None = option("Folder for heads.json and heads.png; of several dumps, one in it for each."),
     settings: SettingsFile = None,
 ) -> Answer:
     """Align the star cameras of a satellite with one another from the sky alone, without any ground.

@@ -1,14 +1,9 @@
 """`boresight noise`: the noise of the star cameras' attitudes."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from boresight.features.heads.head_files import noise_json, noise_lines, write_noise
-from boresight.pipeline.console.arguments import DumpArgument, SettingsFile
+from boresight.pipeline.console.arguments import DumpArgument, SettingsFile, option
 from boresight.pipeline.console.messages import Answer
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.stated_noise import state_noise
@@ -20,16 +15,9 @@ __all__ = ["noise_command"]
 
 def noise_command(
     dump: DumpArgument,
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Folder for noise.toml (keys for dump.toml), noise.json and noise.png."),
-    ] = None,
-    write: Annotated[
-        bool, typer.Option("--write", help="State the noise in the dump's own dump.toml.")
-    ] = False,
-    lowest_hz: Annotated[
-        float, typer.Option(help="Of a single star camera: slower motion is the satellite's.", min=0.0)
-    ] = 0.5,
+    out: Path | None = option("Folder for noise.toml (keys for dump.toml), noise.json and noise.png."),
+    write: bool = option("State the noise in the dump's own dump.toml.", False, "--write"),
+    lowest_hz: float = option("Of a single star camera: slower motion is the satellite's.", 0.5, min=0.0),
     settings: SettingsFile = None,
 ) -> Answer:
     """Estimate the noise of the star cameras' attitudes from the record: white, correlated, constant.

@@ -1,16 +1,11 @@
 """`boresight remote-camera-calibrate`: the interior orientation in orbit."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from boresight.features.interior.interior_files import interior_json, interior_lines, write_interior
 from boresight.features.interior.interior_of_dumps import calibrate_remote_camera
 from boresight.features.interior.interior_parameters import InteriorPriors
-from boresight.pipeline.console.arguments import SettingsFile
+from boresight.pipeline.console.arguments import SettingsFile, argument, option
 from boresight.pipeline.console.messages import Answer
 from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.files.object_store import dump_folder
@@ -21,26 +16,15 @@ __all__ = ["remote_camera_calibrate_command"]
 
 
 def remote_camera_calibrate_command(
-    sources: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="RESULT|DUMP",
-            parser=dump_folder,
-            help="Dumps of one camera, or what `calibrate` made of them.",
-        ),
-    ],
-    out: Annotated[Path, typer.Option(help="Folder for remote_camera.toml, interior.json and interior.png.")],
+    sources: list[Path] = argument(
+        "Dumps of one camera, or what `calibrate` made of them.", metavar="RESULT|DUMP", parser=dump_folder
+    ),
+    out: Path = option("Folder for remote_camera.toml, interior.json and interior.png.", ...),
     settings: SettingsFile = None,
-    curve_px: Annotated[
-        float, typer.Option(help="Prior 1-sigma of the distortion that the table leaves, px.", min=1e-3)
-    ] = 3.0,
-    curve_length_px: Annotated[
-        float, typer.Option(help="Length over which that distortion changes, px.", min=10.0)
-    ] = 5000.0,
-    shift_px: Annotated[float, typer.Option(help="Prior 1-sigma of the CCDs' places, px.", min=1e-3)] = 5.0,
-    stagger_us: Annotated[
-        float, typer.Option(help="Prior 1-sigma of the delay of a CCD's rows, µs; 0: none.", min=0.0)
-    ] = 0.0,
+    curve_px: float = option("Prior 1-sigma of the distortion that the table leaves, px.", 3.0, min=1e-3),
+    curve_length_px: float = option("Length over which that distortion changes, px.", 5000.0, min=10.0),
+    shift_px: float = option("Prior 1-sigma of the CCDs' places, px.", 5.0, min=1e-3),
+    stagger_us: float = option("Prior 1-sigma of the delay of a CCD's rows, µs; 0: none.", 0.0, min=0.0),
 ) -> Answer:
     """Calibrate the interior of the remote-sensing camera in orbit, from strips of sky, ground or both.
 

@@ -1,23 +1,17 @@
 """`boresight archive add`: finished results into the archive of a mission."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from boresight.features.mission.archive import add_results
+from boresight.pipeline.console.arguments import argument, option
 from boresight.pipeline.console.messages import Answer
 
 __all__ = ["archive_add_command"]
 
 
 def archive_add_command(
-    results: Annotated[
-        list[Path], typer.Argument(metavar="RESULT", help="Folders that `calibrate` wrote, in any order.")
-    ],
-    to: Annotated[Path, typer.Option(help="Folder of the archive; it is made.")],
+    results: list[Path] = argument("Folders that `calibrate` wrote, in any order.", metavar="RESULT"),
+    to: Path = option("Folder of the archive; it is made.", ...),
 ) -> Answer:
     """Add finished results to an archive; one that is there already is not added again.
 

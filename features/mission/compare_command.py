@@ -1,7 +1,5 @@
 """`boresight compare`: whether the matrices of two results differ by more than their errors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +7,7 @@ import typer
 
 from boresight.features.mission.mounting_comparison import compare_mountings
 from boresight.features.mission.saved_mounting import read_saved_mounting
-from boresight.pipeline.console.arguments import CameraOption
+from boresight.pipeline.console.arguments import CameraOption, option
 from boresight.pipeline.console.messages import DONE, LIMIT_MISSED, Answer
 from boresight.pipeline.files.whole_file import write_text
 
@@ -21,10 +19,10 @@ Folder = typer.Argument(help="Folder that `calibrate` wrote.", exists=True, file
 def compare_command(
     first: Annotated[Path, Folder],
     second: Annotated[Path, Folder],
-    html: Annotated[Path | None, typer.Option(help="Write the comparison as an HTML page.")] = None,
-    false_alarm: Annotated[
-        float, typer.Option(help="Probability that equal mountings are said to differ.", min=1e-9, max=0.5)
-    ] = 0.01,
+    html: Path | None = option("Write the comparison as an HTML page."),
+    false_alarm: float = option(
+        "Probability that equal mountings are said to differ.", 0.01, min=1e-9, max=0.5
+    ),
     camera: CameraOption = "",
 ) -> Answer:
     """Test whether the matrices of two results differ; exit with 4 where they do.

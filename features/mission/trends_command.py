@@ -1,7 +1,5 @@
 """`boresight trends`: the mounting over years, from an archive, as a page and for programs."""
 
-from __future__ import annotations
-
 import datetime
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +11,7 @@ from boresight.features.mission.mounting_course import CourseSettings
 from boresight.features.mission.saved_mounting import instant_s, utc_at
 from boresight.features.mission.trends import Trend, trend_of
 from boresight.features.mission.trends_page import trends_html
-from boresight.pipeline.console.arguments import RequireArcsec, RequireMetres
+from boresight.pipeline.console.arguments import RequireArcsec, RequireMetres, option
 from boresight.pipeline.console.messages import DONE, LIMIT_MISSED, Answer
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.whole_file import write_json, write_text
@@ -26,12 +24,10 @@ __all__ = ["trends_command"]
 def trends_command(
     archive: Annotated[Path, typer.Argument(help="Folder of an archive, of `archive add`.")],
     out: Annotated[Path, typer.Option(help="Folder for trends.html, trends.json and calibration files.")],
-    at: Annotated[str | None, typer.Option(help="Date of the matrix wanted, UTC; default: today.")] = None,
+    at: str | None = option("Date of the matrix wanted, UTC; default: today."),
     require_arcsec: RequireArcsec = None,
     require_m: RequireMetres = None,
-    false_steps: Annotated[
-        float, typer.Option(help="Steps that may be accepted without cause, a year.", min=1e-9, max=0.5)
-    ] = 0.01,
+    false_steps: float = option("Steps that may be accepted without cause, a year.", 0.01, min=1e-9, max=0.5),
 ) -> Answer:
     """Model each mounting of an archive over time: seasons, orbit, temperature, steps, random walk.
 

@@ -1,14 +1,10 @@
 """`boresight what-if`: a saved result with other strips, or with other errors of strips."""
 
-from __future__ import annotations
-
-from typing import Annotated
-
 import numpy as np
 import typer
 
 from boresight.features.mission.what_if import strips_of_result, what_if_of
-from boresight.pipeline.console.arguments import CameraOption, ResultArgument
+from boresight.pipeline.console.arguments import CameraOption, ResultArgument, option
 from boresight.pipeline.console.messages import Answer
 
 __all__ = ["what_if_command"]
@@ -16,12 +12,9 @@ __all__ = ["what_if_command"]
 
 def what_if_command(
     result: ResultArgument,
-    without: Annotated[list[str] | None, typer.Option(help="Leave out this strip. May be repeated.")] = None,
-    only: Annotated[list[str] | None, typer.Option(help="Only this strip. May be repeated.")] = None,
-    sigma: Annotated[
-        list[str] | None,
-        typer.Option(help="STRIP=FACTOR: its errors are larger by that factor. May be repeated."),
-    ] = None,
+    without: list[str] | None = option("Leave out this strip. May be repeated."),
+    only: list[str] | None = option("Only this strip. May be repeated."),
+    sigma: list[str] | None = option("STRIP=FACTOR: its errors are larger by that factor. May be repeated."),
     camera: CameraOption = "",
 ) -> Answer:
     """Leave out or reweight strips of a finished result: shift and 1-sigma of the matrix, at once.

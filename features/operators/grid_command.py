@@ -2,8 +2,6 @@
 pixels of a strip in DIMAP to places.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 
@@ -13,6 +11,7 @@ from boresight.features.operators.dimap_grid import dimap_grid_differences, plac
 from boresight.features.operators.sentinel2_grid import read_grid_rows, sentinel2_grid_differences
 from boresight.features.operators.sentinel2_product import BANDS, read_sentinel2
 from boresight.geometry.earth_orientation import EarthOrientationTable
+from boresight.pipeline.console.arguments import option
 from boresight.pipeline.console.completion import among
 from boresight.pipeline.console.messages import DONE, LIMIT_MISSED, Answer, print_data, say
 from boresight.pipeline.files.dimap_metadata import operator_model
@@ -61,11 +60,9 @@ def earth_orientation_of(file: Path | None) -> EarthOrientationTable | None:
 
 def dimap_command(
     product: Annotated[Path, typer.Argument(metavar="FILE", help="Pleiades metadata: DIM or PHRDIMAP XML.")],
-    pixels: Annotated[Path | None, typer.Option(help="CSV file with the columns ccd, sample, line.")] = None,
-    height_m: Annotated[float, typer.Option(help="Ellipsoidal height of the ground for --pixels.")] = 0.0,
-    grid: Annotated[
-        Path | None, typer.Option(help="Operator's location grid, GRID_*.tif, to compare.")
-    ] = None,
+    pixels: Path | None = option("CSV file with the columns ccd, sample, line."),
+    height_m: float = option("Ellipsoidal height of the ground for --pixels.", 0.0),
+    grid: Path | None = option("Operator's location grid, GRID_*.tif, to compare."),
     limit_m: Limit = 0.01,
 ) -> Answer:
     """Geolocate pixels of a Pleiades strip, or check its model against the operator's location grid.
@@ -90,9 +87,7 @@ def sentinel2_command(
     datastrip: Datastrip,
     gipp: GippFolder,
     band: Annotated[str, typer.Option(help="B01 to B12, B8A.", autocompletion=among(BANDS))],
-    grid: Annotated[
-        Path, typer.Option(help="Its location grid: CSV of detector, line, sample, lon, lat, alt.")
-    ],
+    grid: Path = option("Its location grid: CSV of detector, line, sample, lon, lat, alt.", ...),
     earth_orientation: EarthOrientation = None,
     limit_m: Limit = 0.02,
 ) -> Answer:

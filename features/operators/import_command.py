@@ -1,7 +1,5 @@
 """`boresight import`: dumps and points of an operator's own files."""
 
-from __future__ import annotations
-
 import csv
 import re
 from contextlib import suppress
@@ -10,23 +8,13 @@ from typing import Annotated, Literal
 
 import typer
 
+from boresight.features.operators import grid_command, point_import
 from boresight.features.operators.dimap_import import dimap_mission
-from boresight.features.operators.grid_command import (
-    Datastrip,
-    EarthOrientation,
-    GippFolder,
-    earth_orientation_of,
-)
 from boresight.features.operators.imported_mission import ImportedMission, write_imported
-from boresight.features.operators.point_import import (
-    PointErrors,
-    asp_images,
-    points_csv,
-    read_measured_points,
-)
 from boresight.features.operators.sentinel2_import import AttitudeLevel, sentinel2_mission
 from boresight.features.operators.sentinel2_product import BANDS, read_sentinel2
 from boresight.pipeline import __version__
+from boresight.pipeline.console.arguments import option
 from boresight.pipeline.console.completion import among, ccds_of, first_argument, strips_of
 from boresight.pipeline.console.messages import Answer, say, wrong_usage
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
@@ -50,20 +38,16 @@ ObjectId = Annotated[
 
 
 def import_sentinel2_command(
-    datastrip: Datastrip,
+    datastrip: grid_command.Datastrip,
     out: Out,
-    gipp: GippFolder,
-    band: Annotated[
-        list[str],
-        typer.Option(help="B01 to B12, B8A, all; several times: a camera each.", autocompletion=among(BANDS)),
-    ],
-    attitudes: Annotated[
-        AttitudeLevel,
-        typer.Option(
-            help="raw: the star trackers; corrected: the operator's attitude; refined: with its refining."
-        ),
-    ] = "raw",
-    earth_orientation: EarthOrientation = None,
+    gipp: grid_command.GippFolder,
+    band: list[str] = option(
+        "B01 to B12, B8A, all; several times: a camera each.", ..., autocompletion=among(BANDS)
+    ),
+    attitudes: AttitudeLevel = option(
+        "raw: the star trackers; corrected: the operator's attitude; refined: with its refining.", "raw"
+    ),
+    earth_orientation: grid_command.EarthOrientation = None,
     points: Points = None,
     object_id: ObjectId = "",
 ) -> Answer:
@@ -71,7 +55,7 @@ def import_sentinel2_command(
 
     Example: boresight import sentinel2 S2A_OPER_MTD_L1B_DS.xml b04 --gipp GIPP --band B04 --points gcps.csv
     """
-    table = earth_orientation_of(earth_orientation)
+    table = grid_command.earth_orientation_of(earth_orientation)
     names = BANDS if "all" in band else tuple(dict.fromkeys(band))
     bands = [read_sentinel2(datastrip, gipp, name) for name in names]
     mission = sentinel2_mission(bands, _creator("sentinel2"), attitudes=attitudes, earth_orientation=table)
@@ -94,28 +78,31 @@ def import_dimap_command(
     return _written(out, dimap_mission(operator_model(product), _creator("dimap")), points, object_id)
 
 
+def _images_of(context: typer.Context, incomplete: str) -> list[str]:
+    """Names of the images in ASP's file of points."""
+    file = first_argument(context, "file")
+    names: tuple[str, ...] = ()
+    with suppress(RawDataError, OSError):
+        names = point_import.asp_images(Path(file)) if file else ()
+    return [name for name in names if name.startswith(incomplete)]
+
+
 def import_points_command(
     file: Annotated[Path, typer.Argument(help="QGIS .points, ASP .gcp, or a GeoTIFF with GCPs.")],
     out: Annotated[Path, typer.Argument(help="The points.csv to be written.")],
-    strip: Annotated[
-        str, typer.Option(help="Id of the strip in which they are measured.", autocompletion=strips_of)
-    ],
-    ccd: Annotated[int, typer.Option(help="Its CCD, from 0.", min=0, max=63, autocompletion=ccds_of)] = 0,
-    height_kind: Annotated[
-        Literal["ellipsoidal", "egm96"], typer.Option(help="What the heights are above.")
-    ] = "ellipsoidal",
-    image: Annotated[
-        str | None, typer.Option(help="ASP: the image whose points are taken.", autocompletion=_images_of)
-    ] = None,
+    strip: str = option("Id of the strip in which they are measured.", ..., autocompletion=strips_of),
+    ccd: int = option("Its CCD, from 0.", 0, min=0, max=63, autocompletion=ccds_of),
+    height_kind: Literal["ellipsoidal", "egm96"] = option("What the heights are above.", "ellipsoidal"),
+    image: str | None = option("ASP: the image whose points are taken.", autocompletion=_images_of),
     *,
-    errors: PointErrors,
+    errors: point_import.PointErrors,
 ) -> Answer:
     """Make a points.csv of image points that another program has measured.
 
     Example: boresight import points b04.points points.csv --strip b04 --height-m 12 --sigma-m 2 2 3
     """
-    found = read_measured_points(file, errors, image)
-    text = points_csv(found, strip, ccd, height_kind)
+    found = point_import.read_measured_points(file, errors, image)
+    text = point_import.points_csv(found, strip, ccd, height_kind)
     write_text(out, text)
     left = f", {found.n_disabled} marked as not to be used" if found.n_disabled else ""
     return Answer(text=f"{len(found.names)} points{left} -> {out}", files=(out,))
@@ -156,12 +143,3 @@ def _noise_of(dump: Path, mission: ImportedMission) -> list[str]:
             return [f"noise of {' and '.join(found.names)} {said}"]
     say(f"noise of the heads: white noise is ASSUMED in dump.toml ({why}); state it in [star_cameras.noise]")
     return []
-
-
-def _images_of(context: typer.Context, incomplete: str) -> list[str]:
-    """Names of the images in ASP's file of points."""
-    file = first_argument(context, "file")
-    names: tuple[str, ...] = ()
-    with suppress(RawDataError, OSError):
-        names = asp_images(Path(file)) if file else ()
-    return [name for name in names if name.startswith(incomplete)]

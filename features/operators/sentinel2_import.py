@@ -1,7 +1,5 @@
 """A Sentinel-2 L1B datastrip as a dump: star trackers or corrected attitudes, look tables, line times."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Literal
 
@@ -9,13 +7,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
-from boresight.features.operators.imported_mission import (
-    ImportedGyro,
-    ImportedHead,
-    ImportedMission,
-    ImportedStrip,
-    white_noise_rad,
-)
+from boresight.features.operators import imported_mission
 from boresight.features.operators.sentinel2_grid import operator_orbit, refined_attitudes, refined_camera
 from boresight.features.operators.sentinel2_product import Sentinel2
 from boresight.geometry.constants import ARCSEC
@@ -42,7 +34,7 @@ def sentinel2_mission(
     *,
     attitudes: AttitudeLevel = "raw",
     earth_orientation: EarthOrientationTable | None = None,
-) -> ImportedMission:
+) -> imported_mission.ImportedMission:
     """The contents of a dump of one band or of several of a datastrip, each a camera.
 
     Heads are with the `attitudes` "raw" each star tracker's own quaternions, with "corrected" the operator's
@@ -67,18 +59,18 @@ def sentinel2_mission(
         inside = slice(int(first), int(last))
         t_s, R_is = record.t_s[inside], record.R_is[inside]
         heads_of.append(
-            ImportedHead(
+            imported_mission.ImportedHead(
                 name=name,
                 t_s=t_s,
                 R_is=R_is,
                 R_cs0=R_cs0,
                 sigma_installation_rad=np.full(3, SIGMA_INSTALLATION_ARCSEC * ARCSEC),
-                white_rad=white_noise_rad(t_s, R_is),
+                white_rad=imported_mission.white_noise_rad(t_s, R_is),
                 is_measured=attitudes == "raw",
                 interpolation="lagrange" if attitudes == "raw" else "taylor",
             )
         )
-    return ImportedMission(
+    return imported_mission.ImportedMission(
         mission=" ".join([strip.satellite, *(band.band for band in bands)]),
         created_by=created_by,
         epoch=strip.epoch,
@@ -86,7 +78,7 @@ def sentinel2_mission(
         heads=tuple(heads_of),
         cameras=dict(zip(ids, cameras)),
         strips=tuple(
-            ImportedStrip(
+            imported_mission.ImportedStrip(
                 strip_id=band.band,
                 ccd=ccd,
                 t_first_row_s=float(t),
@@ -103,7 +95,7 @@ def sentinel2_mission(
     )
 
 
-def _gyro(strip: Sentinel2, R_ps: Rotation) -> ImportedGyro | None:
+def _gyro(strip: Sentinel2, R_ps: Rotation) -> imported_mission.ImportedGyro | None:
     """The gyros, about the axes of the piloting frame; `R_ps` takes those of the first head to it.
 
     The datastrip states no axes: they are those with which the angles between rows are the rotations of the
@@ -126,7 +118,7 @@ def _gyro(strip: Sentinel2, R_ps: Rotation) -> ImportedGyro | None:
     if np.abs(np.linalg.norm(axes, axis=1) - 1.0).max() > AXIS_LENGTH or noise > WALK_ARCSEC * ARCSEC:
         return None
     turns = (np.diff(gyros.angles_rad, axis=0) - np.diff(gyros.t_s)[:, None] * bias) @ to_body.T
-    return ImportedGyro(
+    return imported_mission.ImportedGyro(
         t_s=gyros.t_s,
         turns_g=np.concatenate([np.zeros((1, 3)), turns]),
         R_sg=R_ps.inv(),

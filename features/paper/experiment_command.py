@@ -1,11 +1,8 @@
 """`boresight experiment`: a simulation of the paper, its printed values beside ours."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
@@ -14,6 +11,7 @@ from boresight.features.paper.paper_page import run_all
 from boresight.features.paper.pixels import PixelSettings
 from boresight.features.paper.tables import EXPERIMENTS, FROM_PIXELS, run_experiment
 from boresight.features.paper.vector_experiments import ExperimentSettings
+from boresight.pipeline.console.arguments import argument, option
 from boresight.pipeline.console.messages import Answer, wrong_usage
 from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.report.page_template import template
@@ -21,17 +19,17 @@ from boresight.pipeline.report.page_template import template
 __all__ = ["experiment_command"]
 
 
+def _experiments(context: typer.Context, incomplete: str) -> list[str]:
+    """Names of experiments; after --pixels those that can be run from rendered images."""
+    return [name for name in _known(context.params.get("pixels")) if name.startswith(incomplete)]
+
+
 def experiment_command(
-    name: Annotated[
-        str, typer.Argument(help=f"{', '.join(EXPERIMENTS)}; or all.", autocompletion=_experiments)
-    ],
-    out: Annotated[Path, typer.Option(help="Folder for NAME.csv, .png and .txt; all: also paper.html.")],
-    runs: Annotated[
-        int | None,
-        typer.Option(help="Runs per cell; default 200 (Wang 40, table5 20, pixels 2 or 20).", min=1),
-    ] = None,
-    seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0)] = 2020,
-    pixels: Annotated[bool, typer.Option("--pixels", help="From rendered images: grid, table4.")] = False,
+    name: str = argument(f"{', '.join(EXPERIMENTS)}; or all.", autocompletion=_experiments),
+    out: Path = option("Folder for NAME.csv, .png and .txt; all: also paper.html.", ...),
+    runs: int | None = option("Runs per cell; default 200 (Wang 40, table5 20, pixels 2 or 20).", min=1),
+    seed: int = option("Seed of all random numbers.", 2020, min=0),
+    pixels: bool = option("From rendered images: grid, table4.", False, "--pixels"),
 ) -> Answer:
     """Run a simulation of the paper from scratch, with its printed values beside ours.
 
@@ -52,11 +50,6 @@ def experiment_command(
     lines = COMPARISONS[f"{name}-pixels" if pixels else name](table)
     files = ", ".join(str(path) for path in written)
     return Answer(text="\n".join([*lines, f"{name}: {len(table)} rows -> {files}"]))
-
-
-def _experiments(context: typer.Context, incomplete: str) -> list[str]:
-    """Names of experiments; after --pixels those that can be run from rendered images."""
-    return [name for name in _known(context.params.get("pixels")) if name.startswith(incomplete)]
 
 
 def _known(pixels: bool | None) -> tuple[str, ...]:

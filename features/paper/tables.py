@@ -4,8 +4,6 @@ The simulations are in `vector_experiments`, `geometry_search` and `pixels`; sta
 Hipparcos.
 """
 
-from __future__ import annotations
-
 import datetime
 import os
 import platform
@@ -48,17 +46,7 @@ __all__ = ["EXPERIMENTS", "FROM_PIXELS", "hipparcos_fields", "record_head", "run
 FAINTEST_V = 6.5  # about 55 stars in the field (docs/notes/paper.md)
 
 # In the order in which the command runs them; the paper's figures and tables by name.
-EXPERIMENTS = (
-    "inputs",
-    "figure4",
-    "convergence",
-    "grid",
-    "figure8",
-    "table4",
-    "table5",
-    "readings",
-    "geometry",
-)
+EXPERIMENTS = tuple("inputs figure4 convergence grid figure8 table4 table5 readings geometry".split())
 FROM_PIXELS = ("grid", "table4")  # of them: those that can be run through rendered images
 
 

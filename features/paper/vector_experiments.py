@@ -21,6 +21,7 @@ from boresight.accepted import no_progress
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
+from boresight.features.paper import paper_tables
 from boresight.features.paper.frames import calibrate_frames
 from boresight.features.paper.geometry_search import (
     GeometrySearch,
@@ -29,28 +30,13 @@ from boresight.features.paper.geometry_search import (
     star_camera_rotation,
 )
 from boresight.features.paper.geopositioning import GroundErrors, check_point_errors, smoothed_attitude
-from boresight.features.paper.paper_tables import (
-    FIGURE_7_SIGMA_ARCSEC,
-    FIGURES_5_6_Z_ARCSEC,
-    TABLE_4,
-    TABLE_4_RMS_ARCSEC,
-    TABLE_5,
-)
 from boresight.features.paper.wang import attitudes_of, polynomial_residuals, wang_calibrate
 from boresight.geometry.attitude_estimate import with_attitudes
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import deviation_from_theta, theta_between
 from boresight.geometry.sightings import StripSightings, VectorSets
 from boresight.records.record import Floats, record, scalar
-from boresight.simulator.campaign import (
-    CameraPair,
-    StripPlan,
-    Waves,
-    draw_frames,
-    draw_strips,
-    installation_by_tilt,
-    noisy_frames,
-)
+from boresight.simulator import campaign
 
 __all__ = [
     "NO_NUISANCES",
@@ -69,7 +55,7 @@ __all__ = [
 Progress = Callable[[int, int], None]  # done, in all
 MATRIX_28 = (0.003, 0.002, 0.001)  # rad, the paper's (28) under its own (12) and (13)
 # 1-sigma errors of the paper's Table 1.
-TABLE_1 = StripPlan(
+TABLE_1 = campaign.StripPlan(
     sigma_position_m=2.0, sigma_clock_s=1e-4, sigma_vibration_rad=0.1 * ARCSEC, sigma_distortion_rad=3e-7
 )
 # For an estimator that assumes no error but the noise of stars and targets, as the paper's.
@@ -107,20 +93,20 @@ class ExperimentSettings:
     search: GeometrySearch = scalar("directions and numbers of the map", default_factory=GeometrySearch)
 
     @property
-    def cameras(self) -> CameraPair:
+    def cameras(self) -> campaign.CameraPair:
         """The paper's cameras, mounted `from_zenith_deg` apart from the zenith."""
-        return CameraPair(installation_by_tilt(np.radians(self.from_zenith_deg)))
+        return campaign.CameraPair(campaign.installation_by_tilt(np.radians(self.from_zenith_deg)))
 
 
 def convergence_of_runs(settings: ExperimentSettings) -> pd.DataFrame:
     """Figs. 5 and 6: error of one run, rms of all runs and bound against the number of frames."""
     tables = []
-    for cell, ((sigma_s, sigma_c), paper_z) in enumerate(FIGURES_5_6_Z_ARCSEC.items()):
+    for cell, ((sigma_s, sigma_c), paper_z) in enumerate(paper_tables.FIGURES_5_6_Z_ARCSEC.items()):
         rng = _stream(settings, 1, cell)
         errors, variances = [], []
         for _ in range(settings.runs):
             n_frames = max(settings.frames)
-            drawn = draw_frames(
+            drawn = campaign.draw_frames(
                 n_frames, settings.stars, settings.targets, sigma_s, sigma_c, settings.cameras, rng
             )
             error, variance = _running_error(drawn, settings.cameras.R_cs)
@@ -156,7 +142,7 @@ def grid(settings: ExperimentSettings, progress: Progress = no_progress) -> pd.D
     The paper prints no cell: `paper_arcsec` is Fig. 7's standard deviation over its grid for the information
     form, and for Wang's method the rms of the five cells that Table 4 prints.
     """
-    paper_wang = np.array(TABLE_4_RMS_ARCSEC["wang"])
+    paper_wang = np.array(paper_tables.TABLE_4_RMS_ARCSEC["wang"])
     cells = [(s, c) for s in settings.grid_sigma_s_px for c in settings.grid_sigma_c_px]
     tables = []
     for cell, (sigma_s, sigma_c) in enumerate(cells):
@@ -164,9 +150,9 @@ def grid(settings: ExperimentSettings, progress: Progress = no_progress) -> pd.D
             runs = _frame_runs(
                 settings, n_frames, settings.stars, settings.targets, (sigma_s, sigma_c), (2, cell)
             )
-            paper = np.array(FIGURE_7_SIGMA_ARCSEC)
+            paper = np.array(paper_tables.FIGURE_7_SIGMA_ARCSEC)
             tables.append(_long_form(runs, sigma_s, sigma_c, "information", n_frames, paper))
-        tables += _strip_tables(settings, StripPlan().stars, sigma_s, sigma_c, (3, cell), paper_wang)
+        tables += _strip_tables(settings, campaign.StripPlan().stars, sigma_s, sigma_c, (3, cell), paper_wang)
         progress(cell + 1, len(cells))
     return pd.concat(tables, ignore_index=True)
 
@@ -181,17 +167,19 @@ def table4(
     on the data that Wang's method has.
     """
     tables = []
-    for cell, ((sigma_s, sigma_c), (paper_wang, paper_own)) in enumerate(TABLE_4.items()):
+    for cell, ((sigma_s, sigma_c), (paper_wang, paper_own)) in enumerate(paper_tables.TABLE_4.items()):
         n_frames, targets = settings.table4_frames, settings.table4_targets
         runs = _frame_runs(settings, n_frames, star_fields, targets, (sigma_s, sigma_c), (4, cell))
         tables.append(_long_form(runs, sigma_s, sigma_c, "information", n_frames, np.abs(paper_own)))
         tables += _strip_tables(settings, 60, sigma_s, sigma_c, (5, cell), np.abs(paper_wang))
-        progress(cell + 1, len(TABLE_4))
+        progress(cell + 1, len(paper_tables.TABLE_4))
     return pd.concat(tables, ignore_index=True)
 
 
 def table5(
-    settings: ExperimentSettings, progress: Progress = no_progress, rows: Sequence[float] = tuple(TABLE_5)
+    settings: ExperimentSettings,
+    progress: Progress = no_progress,
+    rows: Sequence[float] = tuple(paper_tables.TABLE_5),
 ) -> pd.DataFrame:
     """Table 5 and Fig. 10: geo-positioning at 20 check points per strip with every error of Table 1.
 
@@ -201,7 +189,7 @@ def table5(
     """
     out = []
     for cell, sigma_s in enumerate(rows):
-        paper = TABLE_5[sigma_s]
+        paper = paper_tables.TABLE_5[sigma_s]
         rng = _stream(settings, 6, cell)
         plan = replace(
             TABLE_1,
@@ -233,7 +221,7 @@ def table5_readings(settings: ExperimentSettings, progress: Progress = no_progre
     Varied is what the paper leaves open: the order of Wang's polynomial, GPS errors constant over a strip or
     white, attitudes smoothed over a strip or of the nearest exposure, and the star camera's axis.
     """
-    axes = {"15 deg": settings.cameras, "60 deg": CameraPair(star_camera_rotation(60.0, 48.0, 0.0))}
+    axes = {"15 deg": settings.cameras, "60 deg": campaign.CameraPair(star_camera_rotation(60.0, 48.0, 0.0))}
     rows = []
     for cell, (axis, gps, sigma_s) in enumerate(product(axes, ("constant", "white"), (0.05, 0.075, 0.10))):
         rng, found = _stream(settings, 8, cell), defaultdict[tuple[str, str, int], list[GroundErrors]](list)
@@ -258,12 +246,12 @@ def table5_readings(settings: ExperimentSettings, progress: Progress = no_progre
 
 
 def _one_matrix_per_image(
-    plan: StripPlan, n: int, cameras: CameraPair, rng: np.random.Generator
+    plan: campaign.StripPlan, n: int, cameras: campaign.CameraPair, rng: np.random.Generator
 ) -> Iterator[tuple[tuple[str, str, int], GroundErrors]]:
     """Errors at the check strips n to 2n - 1 by (attitude, method, order), each with a matrix of an image
     before.
     """
-    strips, _ = draw_strips(plan, cameras, rng)
+    strips, _ = campaign.draw_strips(plan, cameras, rng)
     R_cs0 = _starting_matrix(cameras)
     stated = replace(CalibrationSettings(), sigma_position_m=plan.sigma_position_m)
     matrices = {("wang", order): wang_calibrate(strips[:n], R_cs0, order).R_cs_strips for order in (3, 5, 7)}
@@ -306,7 +294,7 @@ def figure4(settings: ExperimentSettings) -> pd.DataFrame:
 def figure8(settings: ExperimentSettings) -> pd.DataFrame:
     """Fig. 8: residuals of polynomials of order 3, 5 and 7 fitted to the waves over 24 s and one strip."""
     tables = []
-    for span in (24.0, StripPlan().duration_s):
+    for span in (24.0, campaign.StripPlan().duration_s):
         t = np.asarray(np.linspace(0.0, span, 481), dtype=np.float64)
         waves, _ = _waves(settings, t)
         for order in (3, 5, 7):
@@ -330,7 +318,7 @@ def _waves(settings: ExperimentSettings, t_s: Floats) -> tuple[Floats, np.random
     generator.
     """
     rng = _stream(settings, 7, 0)
-    drawn = Waves.draw(StripPlan(), rng)
+    drawn = campaign.Waves.draw(campaign.StripPlan(), rng)
     return replace(drawn, amplitude=drawn.amplitude / ARCSEC).at(t_s), rng
 
 
@@ -343,7 +331,7 @@ def _estimated(
     return estimate
 
 
-def _starting_matrix(cameras: CameraPair) -> Rotation:
+def _starting_matrix(cameras: campaign.CameraPair) -> Rotation:
     return deviation_from_theta(np.array(MATRIX_28)).inv() * cameras.R_cs
 
 
@@ -364,8 +352,8 @@ def _frame_runs(
             fields = stars
             if not isinstance(fields, int):
                 fields = [fields[k] for k in rng.integers(0, len(fields), n_frames)]
-            exact = draw_frames(n_frames, fields, targets, *sigma_px, cameras, rng, noise=False)
-        found = calibrate_frames(noisy_frames(exact, rng), R_cs0)
+            exact = campaign.draw_frames(n_frames, fields, targets, *sigma_px, cameras, rng, noise=False)
+        found = calibrate_frames(campaign.noisy_frames(exact, rng), R_cs0)
         errors.append(theta_between(found.R_cs, cameras.R_cs))
         covariances.append(found.solution.covariance)
     return np.array(errors), np.array(covariances)
@@ -381,12 +369,12 @@ def _strip_tables(
 ) -> list[pd.DataFrame]:
     """Long form of Wang's method and of `calibrate` on the same strips, with the same bound."""
     n = settings.wang_strips
-    plan = StripPlan(strips=n, targets=20, stars=stars, sigma_s_px=sigma_s, sigma_c_px=sigma_c)
+    plan = campaign.StripPlan(strips=n, targets=20, stars=stars, sigma_s_px=sigma_s, sigma_c_px=sigma_c)
     rng, cameras = _stream(settings, *stream), settings.cameras
     R_cs0 = _starting_matrix(cameras)
     wang, ours, bounds = [], [], []
     for _ in range(settings.wang_runs):
-        strips = with_attitudes(draw_strips(plan, cameras, rng)[0])
+        strips = with_attitudes(campaign.draw_strips(plan, cameras, rng)[0])
         estimate = _estimated(strips, R_cs0, NO_NUISANCES)
         wang.append(theta_between(wang_calibrate(strips, R_cs0).R_cs, cameras.R_cs))
         ours.append(theta_between(estimate.R_cs, cameras.R_cs))
@@ -408,10 +396,10 @@ def _running_error(frames: VectorSets, R_cs: Rotation) -> tuple[Floats, Floats]:
 
 
 def _check_points(
-    plan: StripPlan, settings: ExperimentSettings, rng: np.random.Generator
+    plan: campaign.StripPlan, settings: ExperimentSettings, rng: np.random.Generator
 ) -> Iterator[tuple[str, GroundErrors]]:
     cameras, n = settings.cameras, settings.table5_strips
-    strips, truth = draw_strips(plan, cameras, rng)
+    strips, truth = campaign.draw_strips(plan, cameras, rng)
     strips, R_cs0 = with_attitudes(strips), _starting_matrix(cameras)
     # Calibrate with the ten exposures within each strip, as in the paper's 400 frames.
     used = [_central_exposures(strip, 10) for strip in strips[:n]]

@@ -1,7 +1,5 @@
 """`boresight plan`: what a campaign will reach."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +7,7 @@ import typer
 
 from boresight.features.planning.campaign_plan import forecast_plan, read_plan
 from boresight.features.planning.figure import plot_forecast
+from boresight.pipeline.console.arguments import option
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer
 from boresight.pipeline.files.text_tables import table_csv
 from boresight.pipeline.files.whole_file import write_text
@@ -18,10 +17,8 @@ __all__ = ["plan_command"]
 
 def plan_command(
     plan_file: Annotated[Path, typer.Argument(metavar="PLAN", help="TOML file that describes the campaign.")],
-    target: Annotated[
-        float | None, typer.Option(help="Arcsec on every axis: how many strips are needed?", min=1e-9)
-    ] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for plan.csv and plan.png.")] = None,
+    target: float | None = option("Arcsec on every axis: how many strips are needed?", min=1e-9),
+    out: Path | None = option("Folder for plan.csv and plan.png."),
 ) -> Answer:
     """Forecast how well a campaign will determine the installation matrix.
 

@@ -1,16 +1,11 @@
 """`boresight sky-strip-plan`: scans of the sky to take."""
 
-from __future__ import annotations
-
 from functools import partial
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from boresight.features.planning.scan_files import scan_lines, scan_table, write_scans
 from boresight.features.planning.scan_plan import ScanCameras, ScanSettings, choose_scans
-from boresight.pipeline.console.arguments import DumpArgument
+from boresight.pipeline.console.arguments import DumpArgument, option
 from boresight.pipeline.console.messages import Answer
 from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.errors import DataNotSufficientError, refusing
@@ -24,10 +19,8 @@ __all__ = ["sky_strip_plan_command"]
 
 def sky_strip_plan_command(
     dump: DumpArgument,
-    out: Annotated[Path | None, typer.Option(help="Folder for scans.csv and scans.png.")] = None,
-    utc: Annotated[
-        str | None, typer.Option(help="Beginning, such as 2026-11-22T18:00:00Z; default: the orbit's.")
-    ] = None,
+    out: Path | None = option("Folder for scans.csv and scans.png."),
+    utc: str | None = option("Beginning, such as 2026-11-22T18:00:00Z; default: the orbit's."),
     *,
     asked: ScanSettings,
 ) -> Answer:

@@ -7,20 +7,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
 
-from boresight import version
-from boresight.accepted import (
-    PathLike,
-    Progress,
-    count_of,
-    counted,
-    instance_of,
-    listed,
-    no_progress,
-    path_of,
-    progress_of,
-    vacant_folder_of,
-    wrong,
-)
+from boresight import accepted, version
+from boresight.accepted import PathLike, Progress, no_progress
 from boresight.pipeline.files.dump_writer import write_dump
 from boresight.pipeline.files.scenario_file import fly, named_scenario
 from boresight.version import __version__
@@ -59,7 +47,7 @@ def example(name: Literal["mini", "sky"] = "mini") -> Path:
     True
     """
     if name not in ("mini", "sky"):
-        raise wrong("name", name, "'mini' or 'sky'")
+        raise accepted.wrong("name", name, "'mini' or 'sky'")
     return (EXAMPLES / name).resolve()
 
 
@@ -98,14 +86,16 @@ def simulate(
     RawDataError
         If a file of the scenario cannot be read.
     """
-    name, told = os.fspath(path_of(scenario, "scenario")), progress_of(progress)
-    folder, number = vacant_folder_of(out, "out"), count_of(seed, "seed")
-    wanted = [instance_of(one, str, "changes") for one in listed(changes, "changes", "texts")]
+    name, told = os.fspath(accepted.path_of(scenario, "scenario")), accepted.progress_of(progress)
+    folder, number = accepted.vacant_folder_of(out, "out"), accepted.count_of(seed, "seed")
+    wanted = [
+        accepted.instance_of(one, str, "changes") for one in accepted.listed(changes, "changes", "texts")
+    ]
     made_by = f"boresight {__version__}: simulate {name} --seed {number}"
     write_dump(
         fly(named_scenario(name, wanted), number),
         folder,
         created_by=made_by,
-        each=lambda render, images: map(render, counted(images, "images", told)),
+        each=lambda render, images: map(render, accepted.counted(images, "images", told)),
     )
     return folder

@@ -1,16 +1,14 @@
 """`boresight simulate`: a mission with known truth as a dump."""
 
-from __future__ import annotations
-
 import json
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
 from boresight.pipeline import __version__
+from boresight.pipeline.console.arguments import argument, option
 from boresight.pipeline.console.completion import among, first_argument
 from boresight.pipeline.console.messages import Answer, wrong_usage
 from boresight.pipeline.console.progress import progress_bars
@@ -29,26 +27,30 @@ from boresight.simulator.scenario import (
 __all__ = ["simulate_command"]
 
 
+def _settings_of(context: typer.Context, incomplete: str) -> list[str]:
+    """Settings of a built-in scenario that are one value, each as KEY=VALUE."""
+    name = first_argument(context, "scenario")
+    if name is None or name not in builtin_scenario_names():
+        return []
+    words = []
+    for key, value in leaves(scenario_to_dict(builtin_scenario(name))):
+        if isinstance(value, (str, bool, int, float)) and key != "name":
+            words.append(f"{key}={value if isinstance(value, str) else json.dumps(value)}")
+    return sorted(word for word in words if word.startswith(incomplete))
+
+
 def simulate_command(
-    scenario: Annotated[
-        str,
-        typer.Argument(
-            help="mini, paper, sky, or the path of a TOML file.",
-            autocompletion=among(builtin_scenario_names()),
-        ),
-    ],
-    out: Annotated[Path, typer.Argument(help="Folder to be made; must not exist or be empty.")],
-    seed: Annotated[int, typer.Option(help="Seed of all random numbers.", min=0)] = 1,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", help="Change one setting: strips.count=5. May be repeated.", autocompletion=_settings_of
-        ),
-    ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(help="Processes on this machine; default: one a core, one for a small mission.", min=1),
-    ] = None,
+    scenario: str = argument(
+        "mini, paper, sky, or the path of a TOML file.", autocompletion=among(builtin_scenario_names())
+    ),
+    out: Path = argument("Folder to be made; must not exist or be empty."),
+    seed: int = option("Seed of all random numbers.", 1, min=0),
+    set_: list[str] | None = option(
+        "Change one setting: strips.count=5. May be repeated.", None, "--set", autocompletion=_settings_of
+    ),
+    workers: int | None = option(
+        "Processes on this machine; default: one a core, one for a small mission.", min=1
+    ),
 ) -> Answer:
     """Render a mission with known truth: raw star images and strips, written as a dump.
 
@@ -77,15 +79,3 @@ def simulate_command(
         text=f"{len(mission.exposures)} exposures, {strips} strips, {len(mission.targets)} targets, "
         f"{size / 1e6:.1f} MB in {time.perf_counter() - start:.1f} s -> {out}"
     )
-
-
-def _settings_of(context: typer.Context, incomplete: str) -> list[str]:
-    """Settings of a built-in scenario that are one value, each as KEY=VALUE."""
-    name = first_argument(context, "scenario")
-    if name is None or name not in builtin_scenario_names():
-        return []
-    words = []
-    for key, value in leaves(scenario_to_dict(builtin_scenario(name))):
-        if isinstance(value, (str, bool, int, float)) and key != "name":
-            words.append(f"{key}={value if isinstance(value, str) else json.dumps(value)}")
-    return sorted(word for word in words if word.startswith(incomplete))

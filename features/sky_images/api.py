@@ -13,24 +13,8 @@ import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from boresight.accepted import (
-    ImageLike,
-    Progress,
-    SiteLike,
-    TimeLike,
-    counted,
-    floats_of,
-    instance_of,
-    listed,
-    no_progress,
-    number_of,
-    of_argument,
-    path_of,
-    progress_of,
-    site_of,
-    utc_of,
-    wrong,
-)
+from boresight import accepted
+from boresight.accepted import ImageLike, Progress, SiteLike, TimeLike, no_progress
 from boresight.display import Result, SuccessfulResult, axes_or_new
 from boresight.features.sky_images.centroid_lists import are_centroids, star_list_of
 from boresight.features.sky_images.frame_facts import observer_at
@@ -162,8 +146,8 @@ class Stars(Result):
 
     def __add__(self, other: Stars) -> Stars:
         """The stars of both lists of one image, brightest first."""
-        if (more := instance_of(other, Stars, "other")).size_px != self.size_px:
-            raise wrong("other", f"stars of an image of {more.size_px} px", f"{self.size_px}")
+        if (more := accepted.instance_of(other, Stars, "other")).size_px != self.size_px:
+            raise accepted.wrong("other", f"stars of an image of {more.size_px} px", f"{self.size_px}")
         return replace(self, star_list=self.star_list.joined(more.star_list))
 
     @property
@@ -294,11 +278,11 @@ class StarSolution(SuccessfulResult):
 
         Raises `ValueError` for another shape or numbers that are not finite.
         """
-        xy = floats_of(xy_px, "xy_px", "(N, 2)")
+        xy = accepted.floats_of(xy_px, "xy_px", "(N, 2)")
         if xy.ndim not in (1, 2) or xy.shape[-1] != 2:
-            raise wrong("xy_px", xy, "shape (N, 2) or (2,)")
+            raise accepted.wrong("xy_px", xy, "shape (N, 2) or (2,)")
         if not (np.isfinite(xy).all() and (np.abs(xy) < LARGEST_PX).all()):
-            raise wrong("xy_px", "values that are not finite or beyond a million", "pixels")
+            raise accepted.wrong("xy_px", "values that are not finite or beyond a million", "pixels")
         is_single, xy = xy.ndim == 1, self._as_mirrored(np.atleast_2d(xy))
         u_i = sky_directions(self.R_si.inv().apply(self.camera.directions_from_pixels(xy)), self.observer)
         ra, dec = np.degrees(np.arctan2(u_i[:, 1], u_i[:, 0])) % 360.0, np.degrees(np.arcsin(u_i[:, 2]))
@@ -314,9 +298,9 @@ class StarSolution(SuccessfulResult):
         largest difference from the camera. `ValueError` where it exceeds `max_misfit_px`: a wide lens has no
         tangent plane; use `pixel_to_sky`.
         """
-        limit, header = number_of(max_misfit_px, "max_misfit_px", 0.0), self._tan_sip()
+        limit, header = accepted.number_of(max_misfit_px, "max_misfit_px", 0.0), self._tan_sip()
         if not header.largest_misfit_px <= limit:
-            raise wrong(
+            raise accepted.wrong(
                 "max_misfit_px",
                 f"a misfit of {header.largest_misfit_px:.3g} px of the TAN-SIP form of this lens",
                 f"at most {limit:g} px; pixel_to_sky has no such limit",
@@ -382,7 +366,7 @@ class StarSolution(SuccessfulResult):
         if pixels is None:
             pixels = np.zeros((height, width), dtype=np.uint8)
         if pixels.shape != (height, width):
-            raise wrong(
+            raise accepted.wrong(
                 "image", f"shape {pixels.shape}", f"the image of these stars, shape {(height, width)}"
             )
         planets = () if self.observer is None else planets_in_view(self.field, self.observer)
@@ -492,10 +476,10 @@ def find_stars(
     >>> len(stars) > 50, stars.xy_px.shape == (len(stars), 2)
     (True, True)
     """
-    chosen, read = instance_of(settings, StarSettings, "settings"), _pixels(image, "image")
+    chosen, read = accepted.instance_of(settings, StarSettings, "settings"), _pixels(image, "image")
     frame = None if dark is None else _pixels(dark, "dark").pixels
     if frame is not None and frame.shape != read.pixels.shape:
-        raise wrong("dark", f"shape {frame.shape}", f"{read.pixels.shape}, that of the image")
+        raise accepted.wrong("dark", f"shape {frame.shape}", f"{read.pixels.shape}, that of the image")
     if read.floating and chosen.saturation_dn is None:
         chosen = replace(chosen, saturation_dn=np.inf)
     return Stars(
@@ -559,15 +543,15 @@ def identify(
     True True
     """
     known, width_deg = _known_of(camera, fov_deg)
-    chosen = instance_of(settings, StarSettings, "settings")
+    chosen = accepted.instance_of(settings, StarSettings, "settings")
     if site is not None and time is None:
         raise ValueError("site needs time: where a place on the Earth points depends on the time")
-    place = None if site is None else site_of(site)
-    observer = None if time is None else observer_at(utc_of(time, "time"), place)
+    place = None if site is None else accepted.site_of(site)
+    observer = None if time is None else observer_at(accepted.utc_of(time, "time"), place)
     if (stars := stars_given(image, size, known)) is None:
         stars = find_stars(image, settings=chosen)  # type: ignore[arg-type]
     if known is not None and (known.width_px, known.height_px) != stars.size_px:
-        raise wrong(
+        raise accepted.wrong(
             "camera", f"{known.width_px} x {known.height_px} px", f"{stars.size_px}, as the image has"
         )
     field = solve_list(
@@ -582,7 +566,7 @@ def identify(
     if isinstance(field, NotIdentified):
         return field
     if isinstance(image, str | os.PathLike):
-        field = with_error_of_focus(field, path_of(image, "image"))
+        field = with_error_of_focus(field, accepted.path_of(image, "image"))
     return StarSolution(field=field, stars=stars, observer=observer)
 
 
@@ -594,10 +578,10 @@ def stars_given(
         if size is None and camera is not None:
             size = camera.width_px, camera.height_px
         if size is None:
-            raise wrong("size", size, "(width, height) of the image, or a camera, with centroids")
+            raise accepted.wrong("size", size, "(width, height) of the image, or a camera, with centroids")
         return Stars.of_centroids(given, size_px=size)
     if size is not None:
-        raise wrong("size", size, "no size: an image, and Stars, have their own")
+        raise accepted.wrong("size", size, "no size: an image, and Stars, have their own")
     return given if isinstance(given, Stars) else None
 
 
@@ -605,10 +589,10 @@ def _known_of(camera: StarCamera | None, fov_deg: float | None) -> tuple[StarCam
     """A camera or a field of view, as far as they are stated, checked."""
     if camera is not None and fov_deg is not None:
         raise ValueError("camera and fov_deg exclude one another: the camera knows its field of view")
-    width = None if fov_deg is None else number_of(fov_deg, "fov_deg")
+    width = None if fov_deg is None else accepted.number_of(fov_deg, "fov_deg")
     if width is not None and not NARROWEST_DEG < width < WIDEST_DEG:
         raise ValueError(f"fov_deg must be between {NARROWEST_DEG:g} and {WIDEST_DEG:g} deg, got {width:g}")
-    return None if camera is None else instance_of(camera, StarCamera, "camera"), width
+    return None if camera is None else accepted.instance_of(camera, StarCamera, "camera"), width
 
 
 def calibrate_star_camera(
@@ -665,16 +649,22 @@ def calibrate_star_camera(
     True
     """
     camera, fov_deg = _known_of(camera, fov_deg)
-    chosen, told = instance_of(settings, StarSettings, "settings"), progress_of(progress)
-    place = None if site is None else site_of(site)
+    chosen, told = accepted.instance_of(settings, StarSettings, "settings"), accepted.progress_of(progress)
+    place = None if site is None else accepted.site_of(site)
     if site is not None and times is None:
         raise ValueError("site needs times: where a place on the Earth points depends on the time")
-    given = [images] if isinstance(images, Stars) else listed(images, "images", "arrays, paths or Stars")
+    given = (
+        [images] if isinstance(images, Stars) else accepted.listed(images, "images", "arrays, paths or Stars")
+    )
     if not given:
-        raise wrong("images", "none", "at least one")
+        raise accepted.wrong("images", "none", "at least one")
     if isinstance(times, str | datetime.datetime | np.datetime64) or getattr(times, "isscalar", False):
         times = [times]  # type: ignore[list-item]
-    utc = None if times is None else [utc_of(time, "times") for time in listed(times, "times", "times")]
+    utc = (
+        None
+        if times is None
+        else [accepted.utc_of(time, "times") for time in accepted.listed(times, "times", "times")]
+    )
     if utc is not None and len(utc) != len(given):
         raise ValueError(f"{len(utc)} times given for {len(given)} images")
     names = [
@@ -682,12 +672,12 @@ def calibrate_star_camera(
     ]
     every = [
         image if isinstance(image, Stars) else find_stars(image, settings=chosen)
-        for image in counted(given, "star images", told)
+        for image in accepted.counted(given, "star images", told)
     ]
     if len(sizes := {stars.size_px for stars in every}) != 1:
         raise ValueError(f"images must be of one size, got {sorted(sizes)}")
     if camera is not None and (camera.width_px, camera.height_px) != every[0].size_px:
-        raise wrong(
+        raise accepted.wrong(
             "camera", f"{camera.width_px} x {camera.height_px} px", f"{every[0].size_px}, the images'"
         )
     if camera is None:
@@ -713,22 +703,22 @@ def image_pixels(image: ImageLike, name: str) -> NDArray[Any]:
 def _pixels(image: object, name: str) -> _Pixels:
     """An image of a file or an array as grey values."""
     if isinstance(image, str | os.PathLike):
-        path = path_of(image, name)
+        path = accepted.path_of(image, name)
         pixels = read_star_image(path, str(path))
         return _Pixels(_as_counts(_large(pixels, name)), None, pixels.dtype.kind == "f")
     try:
         planes = np.asarray(image)
     except Exception:  # of ragged lists and foreign classes
-        raise wrong(name, image, "an array of shape (H, W) or (H, W, 3), or a path") from None
+        raise accepted.wrong(name, image, "an array of shape (H, W) or (H, W, 3), or a path") from None
     hidden = np.ma.getmaskarray(image) if np.ma.is_masked(image) else None
     if hidden is not None and hidden.all():
-        raise wrong(name, "an array of which all is masked", "pixels that are not masked")
+        raise accepted.wrong(name, "an array of which all is masked", "pixels that are not masked")
     if planes.ndim not in (2, 3) or planes.dtype.kind not in "uif" or not planes.size:
-        raise wrong(name, planes, "numbers of shape (H, W) or (H, W, 3), or a path")
+        raise accepted.wrong(name, planes, "numbers of shape (H, W) or (H, W, 3), or a path")
     whole = planes.dtype.kind in "ui" and planes.dtype not in (np.uint8, np.uint16)
     if whole and not 0 <= planes.min() <= planes.max() <= MOST_COUNTS:
         found = f"integers from {planes.min()} to {planes.max()}"
-        raise wrong(name, found, f"counts from 0 to {MOST_COUNTS}, or floating point")
+        raise accepted.wrong(name, found, f"counts from 0 to {MOST_COUNTS}, or floating point")
     floating = planes.dtype.kind == "f"
     no_number = ~np.isfinite(planes) if floating else None
     if hidden is not None:  # of a masked array: as what is no number
@@ -737,7 +727,7 @@ def _pixels(image: object, name: str) -> _Pixels:
     try:
         grey = _large(grey_image(planes, name), name)
     except RawDataError as error:
-        raise of_argument(name, error) from error
+        raise accepted.of_argument(name, error) from error
     if no_number is not None and planes.ndim == 3:
         no_number = no_number.any(axis=0 if planes.shape[1:] == grey.shape else 2)
     hidden = no_number if no_number is not None and no_number.any() else None
@@ -752,7 +742,7 @@ def _as_counts(grey: NDArray[Any]) -> NDArray[Any]:
 
 def _large(pixels: NDArray[np.generic], name: str) -> NDArray[np.generic]:
     if min(pixels.shape) < SMALLEST_PX:
-        raise wrong(name, f"shape {pixels.shape}", f"at least {SMALLEST_PX} px a side")
+        raise accepted.wrong(name, f"shape {pixels.shape}", f"at least {SMALLEST_PX} px a side")
     return pixels
 
 
@@ -762,7 +752,9 @@ def _sky_axes(ax: Axes | None, size_px: tuple[int, int], image: ImageLike | None
     if image is not None:
         grey = image_pixels(image, "image").astype(float)
         if grey.shape != size_px[::-1]:
-            raise wrong("image", f"shape {grey.shape}", f"the image of these stars, shape {size_px[::-1]}")
+            raise accepted.wrong(
+                "image", f"shape {grey.shape}", f"the image of these stars, shape {size_px[::-1]}"
+            )
         low, high = np.nanpercentile(grey, (1.0, 99.7))
         ax.imshow(grey, cmap="gray", vmin=low, vmax=high)
     ax.set(xlim=(-0.5, size_px[0] - 0.5), ylim=(size_px[1] - 0.5, -0.5), aspect="equal")

@@ -1,7 +1,5 @@
 """Lists of centroids as other programs hand them over, arrays or tables, as lists of stars."""
 
-from __future__ import annotations
-
 import numbers
 from collections.abc import Iterable
 from typing import TypeGuard

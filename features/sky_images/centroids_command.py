@@ -1,15 +1,11 @@
 """`boresight centroids`: the stars of images found and measured; with a truth, how well."""
 
-from __future__ import annotations
-
 import time
-from typing import Annotated
-
-import typer
+from pathlib import Path
 
 from boresight.features.sky_images.centroid_report import ScoreRequest, centroid_limits, score_images
-from boresight.features.sky_images.options import Images, star_settings
-from boresight.pipeline.console.arguments import SettingsFile
+from boresight.features.sky_images.options import star_settings
+from boresight.pipeline.console.arguments import SettingsFile, argument, option
 from boresight.pipeline.console.limit_options import JunitFile, held
 from boresight.pipeline.console.messages import Answer, tell, wrong_usage
 
@@ -17,18 +13,12 @@ __all__ = ["centroids_command"]
 
 
 def centroids_command(
-    images: Images,
+    images: list[Path] = argument("Star images: PNG, TIFF, FITS, JPEG or BMP."),
     *,
     asked: ScoreRequest,
-    max_x_bound: Annotated[
-        float | None, typer.Option(help="Limit: rms error over the Cramér-Rao bound, at most.", min=0.0)
-    ] = None,
-    min_complete: Annotated[
-        float | None, typer.Option(help="Limit: share of the true stars found, at least.", min=0.0, max=1.0)
-    ] = None,
-    from_snr: Annotated[
-        float, typer.Option(help="The limits count stars of this signal-to-noise ratio and more.", min=0.0)
-    ] = 10.0,
+    max_x_bound: float | None = option("Limit: rms error over the Cramér-Rao bound, at most.", min=0.0),
+    min_complete: float | None = option("Limit: share of the true stars found, at least.", min=0.0, max=1.0),
+    from_snr: float = option("The limits count stars of this signal-to-noise ratio and more.", 10.0, min=0.0),
     junit: JunitFile = None,
     settings: SettingsFile = None,
 ) -> Answer:

@@ -1,7 +1,5 @@
 """Arguments and options of the commands about images of the sky."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 
@@ -9,23 +7,8 @@ import typer
 
 from boresight.star_id.settings import StarSettings
 
-__all__ = [
-    "CameraFile",
-    "Dark",
-    "Fov",
-    "Images",
-    "ImagesOrLists",
-    "OrbitFile",
-    "Site",
-    "Times",
-    "star_settings",
-]
+__all__ = ["CameraFile", "Dark", "Fov", "OrbitFile", "Site", "Times", "star_settings"]
 
-Images = Annotated[list[Path], typer.Argument(help="Star images: PNG, TIFF, FITS, JPEG or BMP.")]
-ImagesOrLists = Annotated[
-    list[Path],
-    typer.Argument(help="Star images, or CSV files of `centroids --out`, with --camera or --size."),
-]
 CameraFile = Annotated[Path | None, typer.Option(help="star_camera.toml of the camera, if it is known.")]
 Fov = Annotated[
     float | None, typer.Option("--fov", "--fov-deg", help="Width of the field of view in degrees, if known.")

@@ -26,16 +26,9 @@ from boresight.accepted import (
     wrong,
 )
 from boresight.display import Result, axes_or_new
+from boresight.features.sky_images import tracking
 from boresight.features.sky_images.api import Stars, find_stars, identify, image_pixels, stars_given
 from boresight.features.sky_images.identify_images import sky_index
-from boresight.features.sky_images.tracking import (
-    CameraMotion,
-    StarFix,
-    motion_of_fix,
-    near_prediction,
-    predicted_motion,
-    with_fix,
-)
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.star_camera import StarCamera
 from boresight.records.record import Floats, Ints, array, record, scalar
@@ -235,7 +228,7 @@ class _Tracker:
     push: float  # 1-sigma acceleration about each axis, rad/s²
     focal_error: float
     focal_drift: float
-    motion: CameraMotion | None = None
+    motion: tracking.CameraMotion | None = None
     seen: StarList | None = None  # of the last frame that was searched as a whole
 
     def next(self, frame: ImageLike | Stars | pd.DataFrame, t_s: float) -> _Row:
@@ -247,9 +240,9 @@ class _Tracker:
             raise wrong("frames", f"{size[0]} x {size[1]} px", "images of the camera's size")
         started_s, fix, now, state, reason = time.process_time(), None, None, TRACKED, ""
         if self.motion is not None:
-            now = predicted_motion(self.motion, t_s, self.push, self.focal_drift)
+            now = tracking.predicted_motion(self.motion, t_s, self.push, self.focal_drift)
         if now is not None and self.seen is not None and not isinstance(given, Stars):
-            fix = near_prediction(
+            fix = tracking.near_prediction(
                 given, now, self.seen, self.camera, self.index, self.settings, exposure_s=self.exposure_s
             )
         if fix is None:
@@ -258,15 +251,15 @@ class _Tracker:
         if fix is None:
             unknown = np.full(4, np.nan), np.full((3, 3), np.nan), np.full(3, np.nan)
             return LOST, *unknown, np.nan, np.nan, np.nan, 0, cpu_ms, reason
-        first = motion_of_fix(fix, t_s, self.focal_error)
-        self.motion = motion = first if now is None else with_fix(now, fix)
+        first = tracking.motion_of_fix(fix, t_s, self.focal_error)
+        self.motion = motion = first if now is None else tracking.with_fix(now, fix)
         rate = motion.rate_s if motion.rate_known else np.full(3, np.nan)
         focal_px = self.camera.focal_m / self.camera.pixel_m * math.exp(motion.log_scale)
         sigma_px = focal_px * math.sqrt(motion.covariance[6, 6])
         attitude = motion.R_si.as_quat(), motion.covariance[:3, :3], rate
         return state, *attitude, focal_px, sigma_px, fix.misfit_px, fix.stars, cpu_ms, ""
 
-    def _anew(self, frame: NDArray[Any] | Stars) -> tuple[StarFix | None, str]:
+    def _anew(self, frame: NDArray[Any] | Stars) -> tuple[tracking.StarFix | None, str]:
         """The attitude of a frame of which nothing is known, or why there is none."""
         stars = frame if isinstance(frame, Stars) else find_stars(frame, settings=self.settings)
         found = identify(stars, camera=self.camera, settings=self.settings)
@@ -278,4 +271,4 @@ class _Tracker:
         trailed = psf.shape is not None or psf.smear_px != (0.0, 0.0)
         if self.seen is None or self.exposure_s is None or not trailed:
             self.seen = stars.star_list  # else the rate gives the trail, and the PSF is that of sharp stars
-        return StarFix(found.R_si, found.cov_s, len(found.hip), 0.0, found.misfit_px), ""
+        return tracking.StarFix(found.R_si, found.cov_s, len(found.hip), 0.0, found.misfit_px), ""

@@ -1,17 +1,12 @@
 """`boresight star-camera-calibrate`: a star camera calibrated from images of the sky."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from boresight.features.sky_images.image_time import Whereabouts
 from boresight.features.sky_images.options import CameraFile, Fov, OrbitFile, Site, Times, star_settings
 from boresight.features.sky_images.star_camera_report import CameraRequest, calibrate_from_images
-from boresight.pipeline.console.arguments import SettingsFile
+from boresight.pipeline.console.arguments import SettingsFile, argument
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer, wrong_usage
 from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.files.object_store import dump_folder
@@ -20,14 +15,9 @@ __all__ = ["star_camera_calibrate_command"]
 
 
 def star_camera_calibrate_command(
-    sources: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="SOURCES...",
-            parser=dump_folder,
-            help="Star images, or folders with a dump.toml: their exposures.",
-        ),
-    ],
+    sources: list[Path] = argument(
+        "Star images, or folders with a dump.toml: their exposures.", metavar="SOURCES...", parser=dump_folder
+    ),
     camera: CameraFile = None,
     fov: Fov = None,
     *,

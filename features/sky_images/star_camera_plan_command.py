@@ -1,28 +1,20 @@
 """`boresight star-camera-plan`: fields of the sky that calibrate a star camera best."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from boresight.features.sky_images.field_plan import CameraNumbers, SkyPlanRequest, plan_sky
 from boresight.features.sky_images.options import CameraFile, Fov, star_settings
-from boresight.pipeline.console.arguments import SettingsFile
+from boresight.pipeline.console.arguments import SettingsFile, argument
 from boresight.pipeline.console.messages import Answer, wrong_usage
 
 __all__ = ["star_camera_plan_command"]
 
 
 def star_camera_plan_command(
-    image: Annotated[
-        Path | None,
-        typer.Argument(
-            help="An image of the sky by this camera, any stars; or state --size and --limit-mag."
-        ),
-    ] = None,
+    image: Path | None = argument(
+        "An image of the sky by this camera, any stars; or state --size and --limit-mag.", None
+    ),
     camera: CameraFile = None,
     fov: Fov = None,
     *,

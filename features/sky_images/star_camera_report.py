@@ -13,14 +13,8 @@ import tomlkit
 from numpy.typing import NDArray
 
 from boresight.accepted import counted
+from boresight.features.sky_images import identify_images
 from boresight.features.sky_images.frame_facts import SkyImage, open_sky_images
-from boresight.features.sky_images.identify_images import (
-    check_field,
-    read_camera,
-    read_sky_image,
-    sky_index,
-    with_unknown_time,
-)
 from boresight.features.sky_images.image_time import NOWHERE, Whereabouts
 from boresight.geometry.star_camera import StarCamera
 from boresight.pipeline.console.arguments import option
@@ -29,13 +23,8 @@ from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.whole_file import write_figure, write_text
 from boresight.pipeline.report.panels import GREY, panels
 from boresight.records.record import record, scalar
-from boresight.star_id.camera_calibration import (
-    CameraCalibration,
-    ResidualMap,
-    SkyFrame,
-    calibrate_camera,
-    residual_map,
-)
+from boresight.star_id import camera_calibration
+from boresight.star_id.camera_calibration import CameraCalibration, ResidualMap, SkyFrame
 from boresight.star_id.camera_fit import detector_grid
 from boresight.star_id.field import nominal_camera, solve_stars
 from boresight.star_id.finding.star_list import list_stars
@@ -76,8 +65,8 @@ def calibrate_from_images(
     `sources` are image files and dumps (their exposures). An unreadable image is reported and not used;
     `RawDataError` for a drift of images without time.
     """
-    check_field(request.fov_deg)
-    given = read_camera(request.camera_file)
+    identify_images.check_field(request.fov_deg)
+    given = identify_images.read_camera(request.camera_file)
     sky = open_sky_images(sources, request.known)
     camera = given or (sky.camera if request.fov_deg is None else None)
     if request.drift and (timeless := [one.name for one in sky.images if one.observer is None]):
@@ -99,7 +88,7 @@ def calibrate_from_images(
     if read is None:
         return [*unused, "not calibrated: no image could be read"], False
     height, width = read[1].shape
-    index = sky_index(
+    index = identify_images.sky_index(
         None, float(np.degrees(camera.fov_x_rad)) if camera is not None else request.fov_deg, settings
     )
     if camera is None:
@@ -107,7 +96,9 @@ def calibrate_from_images(
         if isinstance(first, NotIdentified):
             return [*unused, f"no image was identified: {first.reason}"], False
         camera = first
-    result = calibrate_camera(frames, camera, index, with_unknown_time(settings), drift=request.drift)
+    result = camera_calibration.calibrate_camera(
+        frames, camera, index, identify_images.with_unknown_time(settings), drift=request.drift
+    )
     if isinstance(result, NotIdentified):
         return [*unused, f"not calibrated: {result.reason}"], False
     result = replace(result, frames_refused=(*unread, *result.frames_refused))
@@ -131,7 +122,7 @@ def _write(result: CameraCalibration, request: CameraRequest, bit_depth: int) ->
     if result.explained:
         table = tomlkit.dumps(star_camera_table(result.camera, bit_depth))
         write_text(request.out, table)
-    cells = residual_map(result)
+    cells = camera_calibration.residual_map(result)
     if request.report is not None:
         content = json.dumps(_report(result, cells), indent=1, allow_nan=False)
         write_text(request.report, content + "\n")
@@ -143,7 +134,7 @@ def _image(
     one: SkyImage, given: StarCamera | None, camera_file: Path | None, first: tuple[str, NDArray[Any]] | None
 ) -> NDArray[Any]:
     """The image; `RawDataError` when its size differs from that of the first."""
-    image = read_sky_image(one.path, given, camera_file)
+    image = identify_images.read_sky_image(one.path, given, camera_file)
     if first is not None and image.shape != first[1].shape:
         found, expected = (f"{s[1]} x {s[0]} px" for s in (image.shape, first[1].shape))
         raise RawDataError(one.name, "image size", found, f"{expected}, as in {first[0]}")

@@ -1,14 +1,9 @@
 """`boresight dump check`: all about a dump that needs no calibration."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import Annotated
-
-import typer
 
 from boresight.features.targets.dump_check import check_dump, check_lines
-from boresight.pipeline.console.arguments import DumpArgument, SettingsFile
+from boresight.pipeline.console.arguments import DumpArgument, SettingsFile, option
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer
 from boresight.pipeline.files.record_tables import plain
 from boresight.pipeline.run.executor import executor_for
@@ -19,9 +14,9 @@ __all__ = ["dump_check_command"]
 
 def dump_check_command(
     dump: DumpArgument,
-    out: Annotated[Path | None, typer.Option(help="HTML page with the footprints on a map.")] = None,
+    out: Path | None = option("HTML page with the footprints on a map."),
     settings: SettingsFile = None,
-    workers: Annotated[int | None, typer.Option(help="Processes for the star images.", min=1)] = None,
+    workers: int | None = option("Processes for the star images.", min=1),
 ) -> Answer:
     """Check everything about a dump that needs no calibration: all errors at once, footprints, targets.
 

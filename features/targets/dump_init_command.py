@@ -1,7 +1,5 @@
 """`boresight dump init`: the skeleton of a dump."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated
@@ -9,6 +7,7 @@ from typing import Annotated
 import typer
 
 from boresight.features.targets.dump_skeleton import Skeleton, write_skeleton
+from boresight.pipeline.console.arguments import option
 from boresight.pipeline.console.messages import Answer
 
 __all__ = ["dump_init_command"]
@@ -16,13 +15,11 @@ __all__ = ["dump_init_command"]
 
 def dump_init_command(
     folder: Annotated[Path, typer.Argument(help="New or empty folder.")],
-    ask: Annotated[bool, typer.Option("--ask", help="Ask for what follows, one question each.")] = False,
-    attitudes: Annotated[
-        bool, typer.Option("--attitudes", help="Attitudes that a star tracker has solved, no star images.")
-    ] = False,
-    points: Annotated[
-        bool, typer.Option("--points", help="Measured image points, no targets and strips' images.")
-    ] = False,
+    ask: bool = option("Ask for what follows, one question each.", False, "--ask"),
+    attitudes: bool = option(
+        "Attitudes that a star tracker has solved, no star images.", False, "--attitudes"
+    ),
+    points: bool = option("Measured image points, no targets and strips' images.", False, "--points"),
     *,
     known: Skeleton,
 ) -> Answer:

@@ -1,7 +1,5 @@
 """`boresight match`: a dump's targets found in its strips."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 
@@ -9,7 +7,7 @@ import typer
 
 from boresight.features.targets.candidates_page import write_candidates_page
 from boresight.features.targets.target_matches import matched_lines, matches_table, write_matches
-from boresight.pipeline.console.arguments import DumpArgument, SettingsFile
+from boresight.pipeline.console.arguments import DumpArgument, SettingsFile, option
 from boresight.pipeline.console.completion import strips_of
 from boresight.pipeline.console.messages import DATA_DID_NOT_ALLOW, DONE, Answer, say, tell
 from boresight.pipeline.errors import DataNotSufficientError
@@ -24,14 +22,10 @@ __all__ = ["match_command"]
 def match_command(
     dump: DumpArgument,
     out: Annotated[Path, typer.Option(help="File for matches and refusals: .csv or .parquet.")],
-    strip: Annotated[
-        list[str] | None, typer.Option(help="Only this strip. May be repeated.", autocompletion=strips_of)
-    ] = None,
-    page: Annotated[
-        Path | None, typer.Option(help="HTML page of all candidates: pictures, and why matched or not.")
-    ] = None,
+    strip: list[str] | None = option("Only this strip. May be repeated.", autocompletion=strips_of),
+    page: Path | None = option("HTML page of all candidates: pictures, and why matched or not."),
     settings: SettingsFile = None,
-    workers: Annotated[int | None, typer.Option(help="Processes for the star images.", min=1)] = None,
+    workers: int | None = option("Processes for the star images.", min=1),
 ) -> Answer:
     """Find a dump's targets in its strips, from the pre-launch installation matrix.
 

@@ -1,7 +1,5 @@
 """`boresight targets suggest`: ground targets chosen in ortho-images."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -13,6 +11,7 @@ from boresight.features.targets.ortho_files import HeightModel, open_raster, rea
 from boresight.features.targets.stac_items import StacQuery, stac_images
 from boresight.features.targets.suggestions import SuggestRequest, suggest_in, suggestion_lines, write_targets
 from boresight.geometry.terrain import ConstantHeight
+from boresight.pipeline.console.arguments import argument, option
 from boresight.pipeline.console.messages import Answer, say, wrong_usage
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.object_store import dump_folder
@@ -23,45 +22,30 @@ __all__ = ["targets_suggest_command"]
 
 def targets_suggest_command(
     out: Annotated[Path, typer.Option(help="Folder for chips/ and targets.csv.")],
-    orthos: Annotated[
-        list[Path] | None,
-        typer.Argument(
-            metavar="ORTHO",
-            parser=dump_folder,
-            help="GeoTIFF, COG or VRT with a map, or an address; where two overlap: two dates.",
-        ),
-    ] = None,
-    stac: Annotated[
-        Path | None,
-        typer.Option(metavar="PATH", parser=dump_folder, help="A STAC catalogue or API, for its images."),
-    ] = None,
-    dem: Annotated[
-        list[Path] | None, typer.Option(parser=dump_folder, help="Height model. May be repeated.")
-    ] = None,
-    heights: Annotated[
-        Literal["ellipsoidal", "egm96", "egm2008"], typer.Option(help="What the heights of --dem refer to.")
-    ] = "egm96",
-    height_m: Annotated[
-        float | None, typer.Option(help="Ellipsoidal height of flat ground, in place of --dem.")
-    ] = None,
-    dump: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="PATH",
-            parser=dump_folder,
-            help="Only what its strips will show, spread for the best forecast.",
-        ),
-    ] = None,
+    orthos: list[Path] | None = argument(
+        "GeoTIFF, COG or VRT with a map, or an address; where two overlap: two dates.",
+        None,
+        metavar="ORTHO",
+        parser=dump_folder,
+    ),
+    stac: Path | None = option(
+        "A STAC catalogue or API, for its images.", metavar="PATH", parser=dump_folder
+    ),
+    dem: list[Path] | None = option("Height model. May be repeated.", parser=dump_folder),
+    heights: Literal["ellipsoidal", "egm96", "egm2008"] = option(
+        "What the heights of --dem refer to.", "egm96"
+    ),
+    height_m: float | None = option("Ellipsoidal height of flat ground, in place of --dem."),
+    dump: Path | None = option(
+        "Only what its strips will show, spread for the best forecast.", metavar="PATH", parser=dump_folder
+    ),
     *,
     request: SuggestRequest,
     query: StacQuery,
-    offset_m: Annotated[
-        float | None,
-        typer.Option(help="1-sigma of an offset east, north that all these images share.", min=0.0),
-    ] = None,
-    offset_up_m: Annotated[float, typer.Option(help="The same of the heights.", min=0.0)] = 0.0,
-    reference: Annotated[str, typer.Option(help="Id of these images as a ground reference.")] = "ortho",
-    settings: Annotated[Path | None, typer.Option(help="TOML file of settings, for --dump.")] = None,
+    offset_m: float | None = option("1-sigma of an offset east, north that all these images share.", min=0.0),
+    offset_up_m: float = option("The same of the heights.", 0.0, min=0.0),
+    reference: str = option("Id of these images as a ground reference.", "ortho"),
+    settings: Path | None = option("TOML file of settings, for --dump."),
 ) -> Answer:
     """Choose ground targets in ortho-images; write their chips and the list that goes into a dump.
 

@@ -9,21 +9,13 @@ second moment of the kernel, a ramp of the gain adds s² times its slope times t
 would appear as a shift of thousandths of a pixel.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import cv2
 import numpy as np
 
+from boresight.gct_match.imaging import spectra
 from boresight.gct_match.imaging.resample import gradient
-from boresight.gct_match.imaging.spectra import (
-    frequency,
-    padded_picture,
-    padded_shape,
-    padded_spectrum,
-    picture_of,
-)
 from boresight.gct_match.records import Image
 from boresight.gct_match.refine.weighting import Weighting
 from boresight.geometry.line_camera import gaussian_sigma_px
@@ -44,10 +36,10 @@ def fill_columns(out: Image, template: Image, weighting: Weighting, mtf_at_nyqui
     `template` (h, w) by column and row, then the terms of the equation above, T first.
     """
     shape = h, w = template.shape
-    spectrum = padded_spectrum(template)
+    spectrum = spectra.padded_spectrum(template)
     u, v = _ramps(h, w)
     t = out[2]
-    t[...] = picture_of(spectrum * weighting.amplitude, shape)
+    t[...] = spectra.picture_of(spectrum * weighting.amplitude, shape)
     out[0], out[1] = gradient(t)
     out[3], out[4], out[5] = 1.0, u, v
     slope = np.float32(weighting.spread_px2 * 2.0 / max(h, w))
@@ -56,13 +48,13 @@ def fill_columns(out: Image, template: Image, weighting: Weighting, mtf_at_nyqui
         column += slope * derivative
     cv2.Laplacian(t, cv2.CV_32F, dst=out[8], borderType=cv2.BORDER_REFLECT)
     sigma_px = round(gaussian_sigma_px(mtf_at_nyquist), 2)  # an MTF is not known more accurately
-    blur, sharpen = _camera(padded_shape(shape), sigma_px)
-    scene = padded_picture(spectrum * sharpen)
+    blur, sharpen = _camera(spectra.padded_shape(shape), sigma_px)
+    scene = spectra.padded_picture(spectrum * sharpen)
     scene *= np.float32(1.0 / (np.sqrt(float(np.vdot(scene, scene)) / scene.size) + 1e-12))
     blur = blur * weighting.amplitude
     tone = scene * scene
-    out[9] = picture_of(cv2.dft(tone) * blur, shape)
-    out[10] = picture_of(cv2.dft(tone * scene) * blur, shape)
+    out[9] = spectra.picture_of(cv2.dft(tone) * blur, shape)
+    out[10] = spectra.picture_of(cv2.dft(tone * scene) * blur, shape)
 
 
 @lru_cache(maxsize=16)
@@ -76,5 +68,5 @@ def _ramps(h: int, w: int) -> tuple[Image, Image]:
 @lru_cache(maxsize=32)
 def _camera(shape: tuple[int, int], sigma_px: float) -> tuple[Image, Image]:
     """Packed multipliers of a Gaussian camera of `sigma_px` and of its regularised inverse."""
-    blur = np.exp(-2.0 * np.pi**2 * sigma_px**2 * frequency(shape) ** 2)
+    blur = np.exp(-2.0 * np.pi**2 * sigma_px**2 * spectra.frequency(shape) ** 2)
     return blur.astype(np.float32), (blur / (blur**2 + _REGULAR)).astype(np.float32)

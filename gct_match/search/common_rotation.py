@@ -20,14 +20,8 @@ import numpy as np
 from boresight.gct_match.predict.scene import Scene
 from boresight.gct_match.predict.template import predict_template
 from boresight.gct_match.predict.trajectories import displacements
+from boresight.gct_match.search import edge_search
 from boresight.gct_match.search.coarse import read_coarse
-from boresight.gct_match.search.edge_search import (
-    SearchPicture,
-    SearchTemplate,
-    best_positions,
-    search_picture,
-    search_template,
-)
 from boresight.gct_match.search.search_plan import Box, SearchPlan, Window, extents
 from boresight.gct_match.search.vote import Candidates, Vote, log_chance_of_ranks, vote
 from boresight.gct_match.settings import MatchSettings
@@ -46,7 +40,7 @@ _SUPPORTERS = 4  # targets that determine a rotation even if one of them agrees 
 class _Picture:
     """A part of a CCD that is searched, from `origin_px` (sample, line) on."""
 
-    search: SearchPicture
+    search: edge_search.SearchPicture
     origin_px: tuple[int, int]
 
 
@@ -54,7 +48,7 @@ class _Picture:
 class _Template:
     """A target's template on the coarse grid, and its search windows."""
 
-    search: SearchTemplate
+    search: edge_search.SearchTemplate
     point_px: Floats  # (2,) target's surveyed point, strip pixels from the template's first one
     windows: tuple[Window, ...]
 
@@ -103,7 +97,7 @@ def _coarse_pictures(scene: Scene, plan: SearchPlan, each: Each) -> dict[tuple[i
 
 def _picture(strip: StripImage, factor: int, settings: MatchSettings, box: Box) -> _Picture:
     coarse = read_coarse(strip, *box, factor, settings)
-    return _Picture(search_picture(coarse.image), coarse.origin_px)
+    return _Picture(edge_search.search_picture(coarse.image), coarse.origin_px)
 
 
 def _template(scene: Scene, plan: SearchPlan, target: int, windows: tuple[Window, ...]) -> _Template:
@@ -118,7 +112,7 @@ def _template(scene: Scene, plan: SearchPlan, target: int, windows: tuple[Window
         scene.chips[target], model, ccd, (x, y), (side, side), scene.surface, scene.settings, stride=factor
     )
     image = np.where(template.valid, template.image, np.nan)
-    return _Template(search_template(image), middle - origin, windows)
+    return _Template(edge_search.search_template(image), middle - origin, windows)
 
 
 def _candidates(
@@ -152,7 +146,7 @@ def _best_positions(
     shown = [pictures[w.target, w.ccd] for w in template.windows]
     shifts = np.array([p.origin_px for p in shown]) + template.point_px
     boxes = [_box(w, shift, factor) for w, shift in zip(template.windows, shifts)]
-    found = best_positions(template.search, [p.search for p in shown], boxes, count)
+    found = edge_search.best_positions(template.search, [p.search for p in shown], boxes, count)
     ccd = np.array([w.ccd for w in template.windows])
     return ccd[found.picture], found.xy * float(factor) + shifts[found.picture]
 

@@ -14,15 +14,7 @@ import numpy as np
 
 from boresight.gct_match.imaging.views import window
 from boresight.gct_match.records import Image
-from boresight.gct_match.search.edges import (
-    FULL,
-    centred,
-    coarse_edge_fields,
-    edge_field,
-    edge_similarity,
-    halved,
-    normalised_correlation,
-)
+from boresight.gct_match.search import edges
 from boresight.records.record import Ints, array, record
 
 __all__ = [
@@ -70,7 +62,7 @@ class Positions:
 
 def search_picture(image: Image) -> SearchPicture:
     """A picture (H, W) prepared for a search; NaN marks missing pixels."""
-    return SearchPicture(image, *coarse_edge_fields(image))
+    return SearchPicture(image, *edges.coarse_edge_fields(image))
 
 
 def search_template(image: Image) -> SearchTemplate:
@@ -81,8 +73,8 @@ def search_template(image: Image) -> SearchTemplate:
     h, w = image.shape
     if h % _POOLED or w % _POOLED:
         raise ValueError(f"a template's sides must be multiples of {_POOLED}, got {h} x {w}")
-    half = edge_field(halved(image))
-    return SearchTemplate(edge_field(image), half, np.stack([halved(plane) for plane in half]))
+    half = edges.edge_field(edges.halved(image))
+    return SearchTemplate(edges.edge_field(image), half, np.stack([edges.halved(plane) for plane in half]))
 
 
 def best_positions(
@@ -102,7 +94,7 @@ def best_positions(
         np.concatenate([value for _, value in found]),
     )
     positions = _best(everywhere, first)
-    fields = _windows([p.halved for p in pictures], positions, template.halved.shape, 2) / FULL
+    fields = _windows([p.halved for p in pictures], positions, template.halved.shape, 2) / edges.FULL
     positions = _best(_moved(template.halved, fields, positions, 2), second)
     windows = _windows([p.image[None] for p in pictures], positions, (1, *template.own.shape[1:]), 1)
     return _best(_moved(template.own, _edges_of(windows[:, 0]), positions, 1), count)
@@ -119,7 +111,7 @@ def _cells(template: Image, field: Image, box: tuple[int, int, int, int], most: 
     y1 = min(-(-box[3] // _POOLED) + h, rows + h // 2)
     if x1 - x0 < w or y1 - y0 < h:
         return np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.float32)
-    surface = edge_similarity(template, window(field, x0, y0, x1 - x0, y1 - y0))
+    surface = edges.edge_similarity(template, window(field, x0, y0, x1 - x0, y1 - y0))
     maximum = surface == cv2.dilate(surface, np.ones((3, 3), np.uint8))
     score = (surface + maximum).ravel()
     cells = np.flatnonzero(maximum)
@@ -153,7 +145,7 @@ def _windows(planes: Sequence[Image], positions: Positions, shape: tuple[int, ..
 def _edges_of(windows: Image) -> Image:
     """(K, 2, h, w) edges of pictures (K, h, w); in their outermost pixels those of a cut."""
     k, h, w = windows.shape
-    return edge_field(windows.reshape(k * h, w)).reshape(2, k, h, w).swapaxes(0, 1)
+    return edges.edge_field(windows.reshape(k * h, w)).reshape(2, k, h, w).swapaxes(0, 1)
 
 
 def _moved(template: Image, fields: Image, positions: Positions, scale: int) -> Positions:
@@ -162,7 +154,7 @@ def _moved(template: Image, fields: Image, positions: Positions, scale: int) -> 
     """
     values = np.ascontiguousarray(fields[:, :, _RING:-_RING, _RING:-_RING]).reshape(len(fields), -1)
     power = 2.0 * np.einsum("kd,kd->k", values, values) / values.shape[1]
-    similar = normalised_correlation(values @ _shifted(template).T, template, power[:, None])
+    similar = edges.normalised_correlation(values @ _shifted(template).T, template, power[:, None])
     best = similar.argmax(axis=1)
     row, column = np.divmod(best, 2 * _REACH + 1)
     move = np.column_stack([column, row]) - _REACH
@@ -174,7 +166,7 @@ def _shifted(template: Image) -> Image:
     _, h, w = template.shape
     n = 2 * _REACH + 1
     out = np.zeros((n, n, 2, h + n - 1, w + n - 1), dtype=np.float32)
-    inner = centred(template)
+    inner = edges.centred(template)
     for y in range(n):
         for x in range(n):
             out[y, x, :, y : y + h, x : x + w] = inner

@@ -16,37 +16,9 @@ from boresight.calib.reliability import Reliability
 from boresight.calib.verdict import CheckKind, Verdict, assess
 from boresight.geometry.sightings import StripSightings
 from boresight.pipeline.calibration.rounds import Measured, Round
-from boresight.pipeline.diagnosis.input_findings import (
-    EarthTableCheck,
-    assumed_motion,
-    check_earth_table,
-    earth_findings,
-    input_findings,
-)
-from boresight.pipeline.diagnosis.losses import (
-    OF_STARS,
-    OF_TARGETS,
-    displaced_stars,
-    ground_ledger,
-    lost_ccds,
-    lost_groups,
-    lost_stars,
-    lost_targets,
-    named_alone,
-    repeated_lines,
-    searched_alone,
-    star_ledger,
-    with_left_out,
-)
+from boresight.pipeline.diagnosis import input_findings, losses, readings
 from boresight.pipeline.diagnosis.missing import wrong_convention
 from boresight.pipeline.diagnosis.moved_inputs import examined, moved_inputs
-from boresight.pipeline.diagnosis.readings import (
-    exchanged_in_ground,
-    exchanged_in_sky,
-    exchanged_strips,
-    reversed_in_ground,
-    strips_without_stars,
-)
 from boresight.pipeline.diagnosis.suspects import MeasuredTargets, single_targets
 from boresight.pipeline.files.orbit_and_earth import bundled_table
 from boresight.pipeline.stages.head import Basis
@@ -64,7 +36,7 @@ class Assessment:
     """What is said of a calibration, and what that rests on."""
 
     verdict: Verdict  # with all findings
-    earth_table: EarthTableCheck
+    earth_table: input_findings.EarthTableCheck
     sighted: tuple[StripSightings, ...]  # the strips with what was measured in them and left out
     inputs: tuple[MovedInput, ...]  # what further inputs do to these, by prediction
 
@@ -74,14 +46,14 @@ def assessed(
 ) -> Assessment:
     """The verdict on the estimate `found` of the last round. `omissions` are all of the calibration."""
     dump = basis.dump
-    targets = ground_ledger(last.tasks, last.matched, found.R_cs)
-    stars = star_ledger(dump, last.sky, last.named, found.R_cs)
+    targets = losses.ground_ledger(last.tasks, last.matched, found.R_cs)
+    stars = losses.star_ledger(dump, last.sky, last.named, found.R_cs)
     sighted = _sighted(basis, first, last, targets, stars)
     inputs = moved_inputs(dump, sighted)
     reliability = examined(basis, found, sighted, basis.errors, inputs)
     of_attitudes = basis.of_attitudes
-    of_inputs = [*of_attitudes, *input_findings(basis, last.tasks, last.matched, omissions)]
-    of_inputs += repeated_lines(last.tasks)
+    of_inputs = [*of_attitudes, *input_findings.input_findings(basis, last.tasks, last.matched, omissions)]
+    of_inputs += losses.repeated_lines(last.tasks)
     if any(one.refutes for one in of_inputs):  # places measured with a wrong input accuse no other one
         reliability = replace(reliability, findings=(), suspects=())
     verdict = assess(
@@ -97,7 +69,7 @@ def assessed(
     ]
     if of_stars:  # places by wrong attitudes accuse no single target
         reliability = replace(reliability, suspects=())
-    earth = check_earth_table(dump.orbit, dump.earth_table, bundled_table())
+    earth = input_findings.check_earth_table(dump.orbit, dump.earth_table, bundled_table())
     explanations = list[Finding]()
     if any(one.refutes for one in of_attitudes):  # what follows from them accuses no other input
         verdict = replace(verdict, findings=())
@@ -113,8 +85,8 @@ def assessed(
     findings = [
         *explanations,
         *of_inputs,
-        *assumed_motion(last.strips, basis.errors),
-        *earth_findings(earth, dump.earth_file, dump.ground_targets.values()),
+        *input_findings.assumed_motion(last.strips, basis.errors),
+        *input_findings.earth_findings(earth, dump.earth_file, dump.ground_targets.values()),
     ]
     return Assessment(verdict.with_findings(findings), earth, sighted, inputs)
 
@@ -142,12 +114,12 @@ def _sighted(
     measured: Measured = (
         *map(contradicting_targets, last.matched),
         *first,
-        *searched_alone(last.tasks, lost_ccds(targets), dump.sigma_installation_rad),
-        *named_alone(dump, last.sky, last.named, stars),
-        *displaced_stars(dump, last.sky, last.named, stars, last.estimate.R_cs),
+        *losses.searched_alone(last.tasks, losses.lost_ccds(targets), dump.sigma_installation_rad),
+        *losses.named_alone(dump, last.sky, last.named, stars),
+        *losses.displaced_stars(dump, last.sky, last.named, stars, last.estimate.R_cs),
     )
     left_out = [one.take(new(one)) for one in measured]
-    return with_left_out(last.strips, sighted_strips([*last.tasks, *last.sky.tasks], left_out, heads))
+    return losses.with_left_out(last.strips, sighted_strips([*last.tasks, *last.sky.tasks], left_out, heads))
 
 
 def _explanations(
@@ -171,12 +143,12 @@ def _explanations(
     strips_told = {subject.strip for finding in told for subject in finding.explains}
     strips = [*(task.strip for task in last.tasks), *(task.strip for task in last.sky.tasks)]
     images = {strip.strip_id: strip.images for strip in strips}
-    strips_exchanged = list(exchanged_strips(last.tasks, last.matched))
-    strips_exchanged = strips_exchanged or list(reversed_in_ground(last.tasks, last.matched))
+    strips_exchanged = list(readings.exchanged_strips(last.tasks, last.matched))
+    strips_exchanged = strips_exchanged or list(readings.reversed_in_ground(last.tasks, last.matched))
     exchanged = [
         *strips_exchanged,
-        *exchanged_in_ground(last.tasks, last.matched, targets),
-        *exchanged_in_sky(basis.dump, last.sky, last.named, stars, estimate.R_cs),
+        *readings.exchanged_in_ground(last.tasks, last.matched, targets),
+        *readings.exchanged_in_sky(basis.dump, last.sky, last.named, stars, estimate.R_cs),
     ]
     lost = {*targets.subjects(~targets.found), *stars.subjects(~stars.found)}
     moves_all = (one for one in told if not one.subjects or one.subjects[0].kind is Kind.HEAD)
@@ -184,8 +156,8 @@ def _explanations(
         return exchanged  # what is off or lost under a wrong matrix, or with a wrong input, accuses nothing
     explained += [subject for finding in exchanged for subject in finding.subjects]
     parts = [
-        *lost_groups(targets.take(~targets.within(explained)), OF_TARGETS),
-        *lost_groups(stars.take(~stars.within(explained)), OF_STARS),
+        *losses.lost_groups(targets.take(~targets.within(explained)), losses.OF_TARGETS),
+        *losses.lost_groups(stars.take(~stars.within(explained)), losses.OF_STARS),
     ]
     ccds = [subject for part in parts for subject in part.subjects if subject.kind is Kind.CCD]
     entries = [entry for strip in last.matched for entry in strip.omissions]
@@ -197,7 +169,7 @@ def _explanations(
         *exchanged,
         *parts,
         *suspected,
-        *(() if strips_exchanged else lost_targets(images, entries, targets, [*explained, *ccds])),
-        *lost_stars(images, stars, [*explained, *ccds]),
-        *strips_without_stars(basis.dump, last.sky, last.named, stars, strips_told),
+        *(() if strips_exchanged else losses.lost_targets(images, entries, targets, [*explained, *ccds])),
+        *losses.lost_stars(images, stars, [*explained, *ccds]),
+        *readings.strips_without_stars(basis.dump, last.sky, last.named, stars, strips_told),
     ]

@@ -1,7 +1,5 @@
 """Arguments and options of several commands, and of records whose fields are options."""
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 from typing import Annotated, Any
@@ -21,16 +19,22 @@ __all__ = [
     "ResultArgument",
     "SettingsFile",
     "StaleEop",
+    "argument",
     "option",
 ]
 
 
 def option(help_text: str, default: Any = None, *names: str, **how: Any) -> Any:
-    """A field of a record that is an option of the command that takes the record: `names` (or its own name),
-    and what `typer.Option` accepts.
+    """An option of a command, as the default of its parameter, or as a field of a record that it takes:
+    `names` (or its own name), and what `typer.Option` accepts.
     """
     stated = {"meaning": help_text, "option": typer.Option(*names, help=help_text, **how)}
     return dataclasses.field(default=default, metadata=stated)
+
+
+def argument(help_text: str, default: Any = ..., **how: Any) -> Any:
+    """An argument of a command, as the default of its parameter, and what `typer.Argument` accepts."""
+    return dataclasses.field(default=default, metadata={"option": typer.Argument(help=help_text, **how)})
 
 
 AboutFile = Annotated[

@@ -1,7 +1,5 @@
 """`boresight calibrate`: the installation matrix from raw images."""
 
-from __future__ import annotations
-
 import platform
 import shlex
 import sys
@@ -12,41 +10,14 @@ from contextlib import contextmanager
 from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
 from boresight.calib.verdict import Outcome
-from boresight.pipeline import __version__
-from boresight.pipeline.calibration_run import (
-    RunOutcome,
-    RunRequest,
-    going_on,
-    run_dump,
-    run_dumps,
-    saved_content,
-)
-from boresight.pipeline.console.arguments import (
-    AboutFile,
-    DumpsArgument,
-    RequireArcsec,
-    RequireMetres,
-    SettingsFile,
-    StaleEop,
-)
+from boresight.pipeline import __version__, calibration_run
+from boresight.pipeline.console import arguments, messages
+from boresight.pipeline.console.arguments import option
 from boresight.pipeline.console.feature import hooks_of
-from boresight.pipeline.console.messages import (
-    DONE,
-    LIMIT_MISSED,
-    NOT_CHECKABLE,
-    REFUTED,
-    WITH_FINDINGS,
-    Accepted,
-    Answer,
-    log,
-    say,
-    wrong_usage,
-)
 from boresight.pipeline.console.progress import progress_bars
 from boresight.pipeline.results.requirement import Requirement
 from boresight.pipeline.run.executor import executor_for
@@ -66,60 +37,41 @@ def _folder(text: str) -> Path:
     return Path(text)
 
 
-ResultFolder = Annotated[
-    Path,
-    typer.Option(
-        help="Folder of the result: new, empty, or that of a run to be resumed.",
+def calibrate_command(
+    context: typer.Context,
+    dumps: arguments.DumpsArgument,
+    out: Path = option(
+        "Folder of the result: new, empty, or that of a run to be resumed.",
+        ...,
         parser=_folder,
         metavar="PATH",
     ),
-]
-Workers = Annotated[
-    int | None,
-    typer.Option(help="Processes on this machine; default: one a core, one for a small dump.", min=1),
-]
-Scheduler = Annotated[str | None, typer.Option(help="Address of a dask scheduler instead (docs/cluster.md).")]
-WorkerTimeout = Annotated[
-    float | None, typer.Option(help="Longest wait for a usable worker of the scheduler, s.", min=0.0)
-]
-WithReport = Annotated[bool, typer.Option(help="Write report.html at the end.")]
-Accept = Annotated[
-    list[Accepted] | None, typer.Option(help="Do not fail for this: exit with 0. May be given several times.")
-]
-Overwrite = Annotated[
-    bool, typer.Option("--overwrite", help="Replace a result of another dump or of other settings.")
-]
-Archive = Annotated[
-    Path | None, typer.Option(help="Add the result to the archive of a mission in this folder (`trends`).")
-]
-
-
-def calibrate_command(
-    context: typer.Context,
-    dumps: DumpsArgument,
-    out: ResultFolder,
-    settings: SettingsFile = None,
-    workers: Workers = None,
-    scheduler: Scheduler = None,
-    worker_timeout: WorkerTimeout = None,
-    allow_stale_eop: StaleEop = False,
-    report: WithReport = True,
-    require_arcsec: RequireArcsec = None,
-    require_m: RequireMetres = None,
-    about: AboutFile = None,
-    accept: Accept = None,
-    overwrite: Overwrite = False,
-    archive: Archive = None,
-) -> Answer:
+    settings: arguments.SettingsFile = None,
+    workers: int | None = option(
+        "Processes on this machine; default: one a core, one for a small dump.", min=1
+    ),
+    scheduler: str | None = option("Address of a dask scheduler instead (docs/cluster.md)."),
+    worker_timeout: float | None = option("Longest wait for a usable worker of the scheduler, s.", min=0.0),
+    allow_stale_eop: arguments.StaleEop = False,
+    report: bool = option("Write report.html at the end.", True),
+    require_arcsec: arguments.RequireArcsec = None,
+    require_m: arguments.RequireMetres = None,
+    about: arguments.AboutFile = None,
+    accept: list[messages.Accepted] | None = option(
+        "Do not fail for this: exit with 0. May be given several times."
+    ),
+    overwrite: bool = option("Replace a result of another dump or of other settings.", False, "--overwrite"),
+    archive: Path | None = option("Add the result to the archive of a mission in this folder (`trends`)."),
+) -> messages.Answer:
     """Estimate the installation matrix of a dump from raw images; of several dumps, of each and of all; of
     several cameras, of each.
 
     Example: boresight calibrate dump --out result
     """
     if workers is not None and scheduler is not None:
-        raise wrong_usage("--workers and --scheduler exclude one another")
+        raise messages.wrong_usage("--workers and --scheduler exclude one another")
     begun_s = time.perf_counter()
-    request = RunRequest(
+    request = calibration_run.RunRequest(
         settings=read_settings(settings),
         report=report,
         begun_s=begun_s,
@@ -131,47 +83,47 @@ def calibrate_command(
     )
     to_archive = () if archive is None else hooks_of(context.obj, "to_archive")
     if archive is not None and not to_archive:
-        raise wrong_usage("--archive: this installation has no feature that keeps an archive")
+        raise messages.wrong_usage("--archive: this installation has no feature that keeps an archive")
     with _warnings_reported():
         several = open_dumps(dumps, request.settings, allow_stale_eop=allow_stale_eop)
     opened = [named.dump for named in several]
     probes, pixels = [dump.root / "dump.toml" for dump in opened], sum(dump.pixels for dump in opened)
-    machine = executor_for(workers, scheduler, pixels, probes=probes, wait_s=worker_timeout, say=say)
-    with going_on(out), progress_bars() as progress, machine as executor:
+    machine = executor_for(workers, scheduler, pixels, probes=probes, wait_s=worker_timeout, say=messages.say)
+    with calibration_run.going_on(out), progress_bars() as progress, machine as executor:
         request = replace(request, executor=executor, progress=progress)
         if len(several) == 1:
-            outcome = run_dump(out, opened[0], str(dumps[0]), request)
+            outcome = calibration_run.run_dump(out, opened[0], str(dumps[0]), request)
         else:
-            outcome = run_dumps(out, several, request)
+            outcome = calibration_run.run_dumps(out, several, request)
     for add in to_archive:
         add([out], archive)
     files = (out / "installation.json", *([out / "report.html"] if report else []))
     took = f"{time.perf_counter() - begun_s:.1f} s -> {files[0]}{', report.html' if report else ''}"
-    return Answer(
+    return messages.Answer(
         text=f"{outcome.text}\n{took}",
         line=f"{_gravest(outcome)} -> {files[0]}",
-        content=saved_content(out),
+        content=calibration_run.saved_content(out),
         files=files,
         exit_status=_exit_status(outcome, accept or ()),
     )
 
 
-def _gravest(outcome: RunOutcome) -> str:
+def _gravest(outcome: calibration_run.RunOutcome) -> str:
     """The gravest of a run's verdicts, and whether the required accuracy is missed."""
     order = (Outcome.REFUTED, Outcome.NOT_CHECKABLE, Outcome.FINDINGS, Outcome.CONSISTENT)
     worst = next(one for one in order if one in outcome.outcomes)
     return worst.value if outcome.is_met else f"{worst.value}, required accuracy not reached"
 
 
-def _exit_status(outcome: RunOutcome, accepted: Collection[Accepted]) -> int:
+def _exit_status(outcome: calibration_run.RunOutcome, accepted: Collection[messages.Accepted]) -> int:
     """The exit status of a run, the gravest thing that is not accepted; 0 if there is none."""
     cases = (
-        (Accepted.REFUTED, Outcome.REFUTED in outcome.outcomes, REFUTED),
-        (Accepted.NOT_CHECKABLE, Outcome.NOT_CHECKABLE in outcome.outcomes, NOT_CHECKABLE),
-        (Accepted.UNMET, not outcome.is_met, LIMIT_MISSED),
-        (Accepted.FINDINGS, Outcome.FINDINGS in outcome.outcomes, WITH_FINDINGS),
+        (messages.Accepted.REFUTED, Outcome.REFUTED in outcome.outcomes, messages.REFUTED),
+        (messages.Accepted.NOT_CHECKABLE, Outcome.NOT_CHECKABLE in outcome.outcomes, messages.NOT_CHECKABLE),
+        (messages.Accepted.UNMET, not outcome.is_met, messages.LIMIT_MISSED),
+        (messages.Accepted.FINDINGS, Outcome.FINDINGS in outcome.outcomes, messages.WITH_FINDINGS),
     )
-    return next((status for what, found, status in cases if found and what not in accepted), DONE)
+    return next((status for what, found, status in cases if found and what not in accepted), messages.DONE)
 
 
 def _machine() -> dict[str, object]:
@@ -192,4 +144,4 @@ def _warnings_reported() -> Iterator[None]:
     with warnings.catch_warnings(record=True, action="always") as caught:
         yield
     for text in dict.fromkeys(str(warning.message) for warning in caught):
-        log.warning("warning: %s", text)
+        messages.log.warning("warning: %s", text)

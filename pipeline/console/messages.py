@@ -26,6 +26,7 @@ from typing import Annotated, Any, get_origin, get_type_hints
 import typer
 
 from boresight.pipeline import __version__
+from boresight.pipeline.console.arguments import option
 from boresight.pipeline.errors import RawDataError, printable
 from boresight.pipeline.files.whole_file import json_text
 from boresight.records.record import record, scalar
@@ -74,20 +75,14 @@ class Answer:
     exit_status: int = scalar("0, or why the command did not succeed", default=DONE)
 
 
-Verbose = Annotated[
-    bool,
-    typer.Option(
-        "--verbose", "-v", help="A line for each exposure and strip as it ends, every reason, and times."
-    ),
-]
-Quiet = Annotated[
-    bool, typer.Option("--quiet", "-q", help="No progress, no remarks; of a calibration one line.")
-]
-LogFile = Annotated[
-    Path | None,
-    typer.Option("--log-file", help="Append progress, remarks and results to this file, with times."),
-]
-Json = Annotated[bool, typer.Option("--json", help="One JSON object on stdout instead of text.")]
+OF_REASONS = "A line for each exposure and strip as it ends, every reason, and times."
+# Options of messages by their parameters, with the types of these; the last where an answer has content.
+OPTIONS: dict[str, tuple[Any, Any]] = {
+    "verbose": (bool, option(OF_REASONS, False, "--verbose", "-v")),
+    "quiet": (bool, option("No progress, no remarks; of a calibration one line.", False, "--quiet", "-q")),
+    "log_file": (Path | None, option("Append progress, remarks and results to this file, with times.")),
+    "as_json": (bool, option("One JSON object on stdout instead of text.", False, "--json")),
+}
 
 
 def with_messages(
@@ -95,7 +90,8 @@ def with_messages(
 ) -> Callable[..., None]:
     """`command`, called `name` on the command line, with the options of messages; its answer is printed.
 
-    A parameter that is a record stands for its fields that are options (`console.arguments.option`).
+    A parameter that is a record stands for its fields that are options (`console.arguments.option`); the
+    default of any other may be such an option.
     """
     hints = get_type_hints(command, include_extras=True) | {"return": None}
     records: dict[str, Any] = {one: kind for one, kind in hints.items() if dataclasses.is_dataclass(kind)}
@@ -128,16 +124,11 @@ def with_messages(
         if answer.exit_status:
             raise typer.Exit(answer.exit_status)
 
-    options: dict[str, Any] = {"verbose": Verbose, "quiet": Quiet, "log_file": LogFile}
-    options |= {"as_json": Json} if with_json else {}
     parameters = list[inspect.Parameter]()
     for one in inspect.signature(command).parameters.values():
-        own = one.replace(annotation=hints[one.name], kind=inspect.Parameter.KEYWORD_ONLY)
+        own = _parameter(one.name, hints[one.name], one.default)
         parameters += _options_of(records[one.name]) if one.name in records else [own]
-    for option, kind in options.items():
-        default = None if option == "log_file" else False
-        by_name = inspect.Parameter.KEYWORD_ONLY
-        parameters.append(inspect.Parameter(option, by_name, default=default, annotation=kind))
+    parameters += [_parameter(one, *of) for one, of in OPTIONS.items() if with_json or one != "as_json"]
     run_and_print.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run_and_print.__annotations__ = {one.name: one.annotation for one in parameters}
     run_and_print.__doc__ = _with_example(inspect.getdoc(command) or "")
@@ -146,14 +137,17 @@ def with_messages(
 
 def _options_of(kind: Any) -> list[inspect.Parameter]:
     """The fields of a record that are options of a command, as its parameters."""
-    hints, by_name = get_type_hints(kind, include_extras=True), inspect.Parameter.KEYWORD_ONLY
-    found = []
-    for one in dataclasses.fields(kind):
-        option, hint = one.metadata.get("option"), hints[one.name]
-        if option is not None or get_origin(hint) is Annotated:
-            annotation = hint if option is None else Annotated[hint, option]
-            found.append(inspect.Parameter(one.name, by_name, default=one.default, annotation=annotation))
-    return found
+    hints = get_type_hints(kind, include_extras=True)
+    every = [_parameter(one.name, hints[one.name], one) for one in dataclasses.fields(kind)]
+    return [one for one in every if get_origin(one.annotation) is Annotated]
+
+
+def _parameter(name: str, hint: Any, default: Any) -> inspect.Parameter:
+    """A parameter of a command, with the option that its default or its annotation states."""
+    if isinstance(default, dataclasses.Field):
+        option, default = default.metadata.get("option"), default.default
+        hint = hint if option is None else Annotated[hint, option]
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hint)
 
 
 def _made(kind: Any, named: dict[str, Any]) -> Any:

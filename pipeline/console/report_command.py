@@ -1,7 +1,5 @@
 """`boresight report`: one HTML page about a result."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer
@@ -11,15 +9,10 @@ from boresight.pipeline.console.messages import Answer
 from boresight.pipeline.report.dumps_page import write_dumps_report
 from boresight.pipeline.report.page import write_report
 from boresight.pipeline.report.pdf import print_page
+from boresight.pipeline.results import requirement
 from boresight.pipeline.results.folder import dumps_in
 from boresight.pipeline.results.identity import write_about
 from boresight.pipeline.results.reading import read_installation
-from boresight.pipeline.results.requirement import (
-    Requirement,
-    requirement_lines,
-    saved_requirement,
-    write_requirement,
-)
 
 __all__ = ["report_command"]
 
@@ -36,11 +29,11 @@ def report_command(
     Example: boresight report demo-result --pdf --require-arcsec 1
     """
     write_about(result, about)
-    write_requirement(result, Requirement(require_arcsec, require_m))
+    requirement.write_requirement(result, requirement.Requirement(require_arcsec, require_m))
     path = write_dumps_report(result) if dumps_in(result) else write_report(result)
     lines = [f"{path.stat().st_size / 1e6:.1f} MB -> {path}"]
     if pdf:
         printed = print_page(path)
         lines.append(f"{printed.stat().st_size / 1e6:.1f} MB -> {printed}")
-    lines += requirement_lines(saved_requirement(result), read_installation(result))
+    lines += requirement.requirement_lines(requirement.saved_requirement(result), read_installation(result))
     return Answer(text="\n".join(lines))

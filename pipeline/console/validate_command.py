@@ -1,14 +1,12 @@
 """`boresight validate`: a result against the truth of a simulated dump."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from boresight.pipeline.console.arguments import CameraOption
+from boresight.pipeline.console.arguments import CameraOption, option
 from boresight.pipeline.console.limit_options import JunitFile, held
 from boresight.pipeline.console.messages import Answer, say
 from boresight.pipeline.files.dump import open_dump
@@ -26,24 +24,18 @@ __all__ = ["validate_command"]
 
 def validate_command(
     result: Annotated[Path, typer.Argument(help="Folder that `calibrate` wrote.")],
-    dump: Annotated[
-        Path,
-        typer.Option(
-            parser=dump_folder,
-            metavar="PATH",
-            help="The simulated dump it was made from, with its truth/ folder.",
-        ),
-    ],
+    dump: Path = option(
+        "The simulated dump it was made from, with its truth/ folder.",
+        ...,
+        parser=dump_folder,
+        metavar="PATH",
+    ),
     camera: CameraOption = "",
-    max_error_sigma: Annotated[
-        float | None, typer.Option(help="Limit: error of each axis over its stated sigma, at most.", min=0.0)
-    ] = None,
-    max_nees: Annotated[
-        float | None, typer.Option(help="Limit: squared error in the stated covariance, at most.", min=0.0)
-    ] = None,
-    max_ground_m: Annotated[
-        float | None, typer.Option(help="Limit: rms error on the ground, each direction, at most.", min=0.0)
-    ] = None,
+    max_error_sigma: float | None = option(
+        "Limit: error of each axis over its stated sigma, at most.", min=0.0
+    ),
+    max_nees: float | None = option("Limit: squared error in the stated covariance, at most.", min=0.0),
+    max_ground_m: float | None = option("Limit: rms error on the ground, each direction, at most.", min=0.0),
     junit: JunitFile = None,
 ) -> Answer:
     """Compare a result with the truth of a simulated dump. Exit status 4 if a limit is missed.

@@ -238,6 +238,10 @@ def _views(parts: DumpParts) -> tuple[Dump, ...]:
     return tuple(_view(parts, name) for name in parts.remote_cameras if name in seen)
 
 
+# Fields of a dump that are those of its parts, whichever camera sees it.
+OF_PARTS = "root epoch orbit earth_table terrain star_catalogue orbit_covers".split()
+
+
 def _view(parts: DumpParts, camera: str) -> Dump:
     """The dump as one camera sees it."""
     head, (line_camera, remote) = parts.head, parts.remote_cameras[camera]
@@ -252,28 +256,22 @@ def _view(parts: DumpParts, camera: str) -> Dump:
     points = tuple(measured for measured in points if measured.strip_id not in others)
     of_images = not isinstance(heads[0].source, SolvedAttitudes)
     return Dump(
-        root=parts.root,
+        **{name: getattr(parts, name) for name in OF_PARTS},
         mission=head.mission,
         satellite=head.satellite,
-        epoch=parts.epoch,
         heads=heads,
         camera=camera,
         line_camera=line_camera,
         remote_bit_depth=remote.bit_depth or 0,
         errors=head.errors,
         light=LightEffects(**head.light.model_dump()),
-        orbit=parts.orbit,
         orbit_time_system=parts.ephemeris[0].time_system,
-        earth_table=parts.earth_table,
         earth_file=head.files.earth_orientation or "",
         strips=strips,
         sky_strips=sky_strips,
         targets=surveyed.targets,
         chips=chips,
         points=points,
-        terrain=parts.terrain,
-        star_catalogue=parts.star_catalogue,
-        orbit_covers=parts.orbit_covers,
         omissions=(
             *(entry for entry in (*unreadable, *strips_twice) if entry.subject.strip not in others),
             *exposures_twice,

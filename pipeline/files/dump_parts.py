@@ -3,8 +3,6 @@
 Whoever opens a dump stops at the first part that is wrong; whoever checks one goes on to the others.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property
@@ -19,16 +17,9 @@ from boresight.geometry.geodesy import unit_vectors
 from boresight.geometry.orbit import Orbit
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files import dump_schema as schema
+from boresight.pipeline.files import ground_points, terrain_files
 from boresight.pipeline.files.content import check_bytes
 from boresight.pipeline.files.dates import Span, check_exposure_dates, check_orbit_dates, orbit_covers
-from boresight.pipeline.files.ground_points import (
-    NO_TARGETS,
-    ChipFile,
-    StripPoints,
-    SurveyedPoints,
-    read_points,
-    read_targets,
-)
 from boresight.pipeline.files.orbit_and_earth import (
     bundled_table,
     orbit_of,
@@ -43,13 +34,6 @@ from boresight.pipeline.files.spice_kernels import NO_KERNELS, Kernels
 from boresight.pipeline.files.star_side import Head, SolvedAttitudes, check_attitudes, open_heads
 from boresight.pipeline.files.star_tables import StarTable, survey_of
 from boresight.pipeline.files.strip_table import Strip, check_what_strips_show, read_strips
-from boresight.pipeline.files.terrain_files import (
-    MAX_TERRAIN_BYTES,
-    NO_TERRAIN,
-    TargetHeights,
-    TerrainFiles,
-    surface_of,
-)
 from boresight.pipeline.files.text_files import path_inside, read_toml
 from boresight.records.ledger import Entry
 from boresight.records.record import Floats
@@ -148,12 +132,12 @@ class DumpParts:
         return ground, sky, (*of_ground, *of_sky)
 
     @cached_property
-    def targets(self) -> tuple[SurveyedPoints, tuple[ChipFile, ...]]:
+    def targets(self) -> tuple[ground_points.SurveyedPoints, tuple[ground_points.ChipFile, ...]]:
         """The targets, and the files of their chips."""
         if self._is_without("targets"):
-            return NO_TARGETS, ()
+            return ground_points.NO_TARGETS, ()
         file = str(self.head.files.targets)
-        return read_targets(self.root, self._path("targets"), file, self.ground_references)
+        return ground_points.read_targets(self.root, self._path("targets"), file, self.ground_references)
 
     @cached_property
     def listed_heads(self) -> tuple[Head, ...]:
@@ -181,7 +165,9 @@ class DumpParts:
         check_attitudes(self.heads[0], self.orbit, self.ephemeris[1], _spans(self.strips[0]))
 
     @cached_property
-    def listed_points(self) -> tuple[tuple[StripPoints, ...], tuple[SurveyedPoints, ...]]:
+    def listed_points(
+        self,
+    ) -> tuple[tuple[ground_points.StripPoints, ...], tuple[ground_points.SurveyedPoints, ...]]:
         """Measured image points, one record a strip of the ground, and the same points on the ground.
 
         `RawDataError` for points in a strip or a CCD that the dump has not.
@@ -189,7 +175,7 @@ class DumpParts:
         if self._is_without("points"):
             return (), ()
         file = str(self.head.files.points)
-        points, surveyed = read_points(self._path("points"), file, self.ground_references)
+        points, surveyed = ground_points.read_points(self._path("points"), file, self.ground_references)
         known = {strip.strip_id: strip for strip in self.listed_strips[0] if strip.kind == "ground"}
         for measured in points:
             if measured.strip_id not in known:
@@ -200,26 +186,26 @@ class DumpParts:
         return points, (surveyed,)
 
     @cached_property
-    def points(self) -> tuple[tuple[StripPoints, ...], list[Entry]]:
+    def points(self) -> tuple[tuple[ground_points.StripPoints, ...], list[Entry]]:
         """The points in CCDs of strips that are used, and what is given twice."""
         once, twice = points_once(self.listed_points[0], str(self.head.files.points))
         ccds = {strip.strip_id: list(strip.ccd_lines) for strip in self.strips[0]}
         return tuple(points.of(ccds[points.strip_id]) for points in once if points.strip_id in ccds), twice
 
     @cached_property
-    def terrain(self) -> TerrainFiles | TargetHeights:
+    def terrain(self) -> terrain_files.TerrainFiles | terrain_files.TargetHeights:
         """The surface of the Earth."""
         if self.sky_alone:
-            return NO_TERRAIN
+            return terrain_files.NO_TERRAIN
         stated, names = self.head.terrain, self.head.files.terrain
         if names is None or stated is None:
-            known = SurveyedPoints.together((self.targets[0], *self.listed_points[1]))
-            return TargetHeights(unit_vectors(known.lon_rad, known.lat_rad), known.height_m)
+            known = ground_points.SurveyedPoints.together((self.targets[0], *self.listed_points[1]))
+            return terrain_files.TargetHeights(unit_vectors(known.lon_rad, known.lat_rad), known.height_m)
         paths = tuple(self._inside(name, "files.terrain") for name in names)
-        terrain = TerrainFiles(tuple(names), paths, stated.height_kind)
+        terrain = terrain_files.TerrainFiles(tuple(names), paths, stated.height_kind)
         for name, path in zip(terrain.files, terrain.paths):
-            check_bytes(path, name, MAX_TERRAIN_BYTES)
-        surface_of(terrain)  # an invalid file is reported before hours of work
+            check_bytes(path, name, terrain_files.MAX_TERRAIN_BYTES)
+        terrain_files.surface_of(terrain)  # an invalid file is reported before hours of work
         return terrain
 
     @cached_property

@@ -1,7 +1,5 @@
 """Write a simulated mission as a dump (docs/dump-format.md); its truth goes to `truth/` only."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path
@@ -19,15 +17,7 @@ from boresight.pipeline.files.remote_camera import remote_camera_table
 from boresight.pipeline.files.star_side import star_camera_table
 from boresight.pipeline.files.text_tables import write_csv, write_toml
 from boresight.pipeline.files.whole_file import is_vacant
-from boresight.simulator.mission_records import (
-    ChipImage,
-    Mission,
-    OrbitReport,
-    RenderedExposure,
-    RenderedStrip,
-    TerrainReport,
-    Truth,
-)
+from boresight.simulator import mission_records
 from boresight.simulator.scenario import scenario_to_dict
 
 __all__ = ["Each", "Rendered", "write_dump"]
@@ -41,11 +31,11 @@ SMALL_PIXELS = 4_000_000
 SMALL_STRIP = {"compress": "deflate", "zlevel": 6, "predictor": 2}
 LARGE_STRIP = {"compress": "zstd", "zstd_level": 1, "predictor": 2}
 
-Rendered = RenderedStrip | RenderedExposure
+Rendered = mission_records.RenderedStrip | mission_records.RenderedExposure
 Each = Callable[[Callable[[Rendered], None], Sequence[Rendered]], Iterable[None]]
 
 
-def write_dump(mission: Mission, root: Path, *, created_by: str, each: Each = map) -> None:
+def write_dump(mission: mission_records.Mission, root: Path, *, created_by: str, each: Each = map) -> None:
     """Write the dump to `root`. `FileExistsError` if not empty.
 
     `each` applies a function to the images, one after another or in forked processes: a mission cannot be
@@ -77,7 +67,10 @@ def write_dump(mission: Mission, root: Path, *, created_by: str, each: Each = ma
     write_toml(root / "dump.toml", _head(mission, created_by))  # last: a dump with a dump.toml is complete
 
 
-def _head(mission: Mission, created_by: str) -> dict[str, Any]:
+OF_ERRORS = ("position_m", "clock_s", "vibration_arcsec", "look_distortion_px")  # as records have them, too
+
+
+def _head(mission: mission_records.Mission, created_by: str) -> dict[str, Any]:
     errors, terrain = mission.errors, mission.terrain
     of_ground = {"targets": "targets.csv", "terrain": "terrain/dem.tif"} if terrain is not None else {}
     of_ccds = dict(zip(("look_ccd_shift_px", "look_ccd_slope_px", "look_ccd_bend_px"), errors.look_ccd_px))
@@ -86,10 +79,7 @@ def _head(mission: Mission, created_by: str) -> dict[str, Any]:
         **head_of_dump(mission.scenario.name, created_by),
         "files": FILES | of_ground,
         "errors": {
-            "position_m": errors.position_m,
-            "clock_s": errors.clock_s,
-            "vibration_arcsec": errors.vibration_arcsec,
-            "look_distortion_px": errors.look_distortion_px,
+            **{name: getattr(errors, name) for name in OF_ERRORS},
             "look_distortion_length_px": mission.scenario.errors.distortion_length_px,
             **of_ccds,
         },
@@ -97,7 +87,7 @@ def _head(mission: Mission, created_by: str) -> dict[str, Any]:
     }
 
 
-def _oem(mission: Mission, orbit: OrbitReport) -> str:
+def _oem(mission: mission_records.Mission, orbit: mission_records.OrbitReport) -> str:
     return orbit_message(
         mission.scenario.name,
         "ITRF",
@@ -110,17 +100,17 @@ def _oem(mission: Mission, orbit: OrbitReport) -> str:
 
 
 def _write_image(root: Path, image: Rendered) -> None:
-    if isinstance(image, RenderedStrip):
+    if isinstance(image, mission_records.RenderedStrip):
         _write_strip_image(root / _file_of_strip(image), image)
     else:
         (root / f"exposures/{image.exposure_id}.png").write_bytes(png_of_noise(image.image()))
 
 
-def _file_of_strip(strip: RenderedStrip) -> str:
+def _file_of_strip(strip: mission_records.RenderedStrip) -> str:
     return f"strips/{strip.strip_id}_ccd{strip.ccd}.tif"
 
 
-def _write_exposures(root: Path, mission: Mission) -> None:
+def _write_exposures(root: Path, mission: mission_records.Mission) -> None:
     utc = mission.epoch.utc_from_seconds([exposure.t_s for exposure in mission.exposures])
     rows = []
     for exposure, instant in zip(mission.exposures, utc):
@@ -129,7 +119,7 @@ def _write_exposures(root: Path, mission: Mission) -> None:
     write_csv(root / "exposures.csv", ["id", "file", "utc_mid", "exposure_s"], rows)
 
 
-def _write_strips(root: Path, mission: Mission) -> None:
+def _write_strips(root: Path, mission: mission_records.Mission) -> None:
     utc = mission.epoch.utc_from_seconds([strip.t_first_row_s for strip in mission.strips])
     rows, with_kind = [], any(strip.kind != "ground" for strip in mission.strips)
     for strip, instant in zip(mission.strips, utc):
@@ -140,7 +130,7 @@ def _write_strips(root: Path, mission: Mission) -> None:
     write_csv(root / "strips.csv", [*columns, "kind"] if with_kind else columns, rows)
 
 
-def _write_strip_image(path: Path, strip: RenderedStrip) -> None:
+def _write_strip_image(path: Path, strip: mission_records.RenderedStrip) -> None:
     kind = "uint8" if strip.bits <= 8 else "uint16"
     how = SMALL_STRIP if strip.lines * strip.samples < SMALL_PIXELS else LARGE_STRIP
     with tiff_opened(path, (strip.lines, strip.samples), kind, **TILES, bigtiff="if_safer", **how) as image:
@@ -150,7 +140,7 @@ def _write_strip_image(path: Path, strip: RenderedStrip) -> None:
             line += len(block)
 
 
-def _write_targets(root: Path, mission: Mission) -> None:
+def _write_targets(root: Path, mission: mission_records.Mission) -> None:
     chips = {chip.target_id: chip for chip in mission.chips}
     rows = []
     for target in mission.targets:
@@ -163,18 +153,18 @@ def _write_targets(root: Path, mission: Mission) -> None:
     write_csv(root / "targets.csv", columns, rows)
 
 
-def _write_chip(path: Path, chip: ChipImage) -> None:
+def _write_chip(path: Path, chip: mission_records.ChipImage) -> None:
     place = {"crs": f"EPSG:{chip.epsg}", "transform": Affine(*chip.affine)}
     write_tiff(path, chip.image, **place, zlevel=9, predictor=2)
 
 
-def _write_terrain(path: Path, terrain: TerrainReport) -> None:
+def _write_terrain(path: Path, terrain: mission_records.TerrainReport) -> None:
     centimetres = np.round(np.asarray(terrain.heights_m, dtype=float), 2).astype(np.float32)
     place = {"crs": "EPSG:4326", "transform": Affine(*terrain.affine), "nodata": -32768.0}
     write_tiff(path, centimetres, **place, zlevel=9, predictor=3)
 
 
-def _write_truth(root: Path, mission: Mission, truth: Truth) -> None:
+def _write_truth(root: Path, mission: mission_records.Mission, truth: mission_records.Truth) -> None:
     installation = {
         "quaternion_cs": truth.R_cs.as_quat().tolist(),
         "theta_rad": np.asarray(truth.theta_rad).tolist(),

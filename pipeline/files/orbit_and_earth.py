@@ -1,7 +1,5 @@
 """The orbit of a dump: the states of its file, joined to the rotation of the Earth over them."""
 
-from __future__ import annotations
-
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -92,17 +90,9 @@ def orbit_of(
         expected = f"dates within the Earth-orientation table ({error})"
         raise RawDataError(file, "time of the states", found, expected) from error
     with refusing(file, "states", "an orbit that can be interpolated"):
-        return Orbit(
-            epoch=ephemeris.epoch,
-            t_s=t,
-            positions_m=ephemeris.positions_m,
-            velocities_m_s=ephemeris.velocities_m_s,
-            frame=frame,
-            degree=ephemeris.interpolation_degree,
-            earth=earth,
-            method=ephemeris.method,
-            begins=ephemeris.begins,
-        )
+        names = "epoch t_s positions_m velocities_m_s frame method begins".split()
+        same = {name: getattr(ephemeris, name) for name in names}
+        return Orbit(**same, degree=ephemeris.interpolation_degree, earth=earth)
 
 
 def _check_steps(ephemeris: Ephemeris, file: str) -> None:

@@ -4,8 +4,6 @@ several dumps jointly the budget alone.
 The same inputs, settings and version give identical files.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -43,17 +41,10 @@ from boresight.pipeline.forecast.budget import uncertainty_budget
 from boresight.pipeline.forecast.campaigns import improvements
 from boresight.pipeline.head_noise.of_dump import attitude_signal
 from boresight.pipeline.head_noise.spectrum import allan_deviation
+from boresight.pipeline.report import ground_map
 from boresight.pipeline.report.budget_table import CONTEXT, JOINT_BUDGET
 from boresight.pipeline.report.findings import findings
 from boresight.pipeline.report.ground_accuracy import accuracy_by_strip, predicted_accuracy
-from boresight.pipeline.report.ground_map import (
-    ground_table,
-    quicklooks_of,
-    scene_json,
-    scene_pictures,
-    scenes_of,
-    shadings_of,
-)
 from boresight.pipeline.report.saved import EVIDENCE
 from boresight.pipeline.report.star_preview import StarPreview, star_preview
 from boresight.pipeline.report.unmatched import unmatched_pictures
@@ -89,8 +80,8 @@ def write_evidence(
     `executor` makes all of it that no other part needs, and calls `beside`; default: this process.
     """
     folder, executor = result / "evidence", executor or InOrder()
-    scenes = scenes_of(dump, calibration)
-    ground = ground_table(scenes, dump, calibration)
+    scenes = ground_map.scenes_of(dump, calibration)
+    ground = ground_map.ground_table(scenes, dump, calibration)
     parts: dict[str, Callable[[], Any]] = {
         "accuracy": partial(_accuracy, dump, calibration, ground),  # the longest first
         "exposure": partial(_exposure, dump, calibration, settings),
@@ -102,7 +93,7 @@ def write_evidence(
         "matches": partial(_matches, calibration),
         "noise": partial(_attitude_noise, dump, settings),
     }
-    quicklooks, shadings = quicklooks_of(scenes), shadings_of(scenes, dump)
+    quicklooks, shadings = ground_map.quicklooks_of(scenes), ground_map.shadings_of(scenes, dump)
     here = executor.share(1)  # what they need, the whole calibration, is not sent to other machines
     own = [*beside, *parts.values(), *shadings]
     lists = [(here, own + quicklooks)] if here == executor else [(here, own), (executor, quicklooks)]
@@ -110,13 +101,16 @@ def write_evidence(
     tables: dict[str, Any] = dict(zip(parts, islice(made, len(beside), None)))
     accuracy, found, noise = (tables.pop(name) for name in ("accuracy", "findings", "noise"))
     shaded = list(islice(made, len(shadings)))
-    tables |= noise | {"ground": ground, "map": scene_pictures(scenes, shaded, made)}
+    tables |= noise | {"ground": ground, "map": ground_map.scene_pictures(scenes, shaded, made)}
     for name, table in tables.items():
         write_inside(
             folder / f"{name}.parquet", lambda path, t=table: pq.write_table(t, path, compression="zstd")
         )
     context = _context(dump, calibration) | accuracy
-    context |= {"findings": [plain(one) for one in found], "scenes": [scene_json(scene) for scene in scenes]}
+    context |= {
+        "findings": [plain(one) for one in found],
+        "scenes": [ground_map.scene_json(scene) for scene in scenes],
+    }
     write_json(result / CONTEXT, context)
     return found
 

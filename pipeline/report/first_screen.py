@@ -16,7 +16,7 @@ from boresight.pipeline.results.summary import REASON_WORDS
 from boresight.records.ledger import State
 from boresight.records.record import record, scalar
 
-__all__ = ["FirstScreen", "Found", "Help", "Required", "first_screen", "required", "sigma_on_ground"]
+__all__ = ["FirstScreen", "Help", "Required", "first_screen", "required", "sigma_on_ground"]
 
 MOST_GROUPS = 4  # of things that are not used, on the page's first screen
 
@@ -45,17 +45,6 @@ class Help:
 
 
 @record(kw_only=True)
-class Found:
-    """A finding, and the targets that it explains."""
-
-    cause: str = scalar("what is probably the matter")
-    item: str = scalar("what it concerns")
-    text: str = scalar("the numbers, and what to check")
-    is_fault: bool = scalar("an input is probably wrong")
-    rows: tuple[TargetCard, ...] = scalar("targets that it explains")
-
-
-@record(kw_only=True)
 class FirstScreen:
     """Everything above the fold but verdict and map."""
 
@@ -69,7 +58,9 @@ class FirstScreen:
     rejected: tuple[tuple[str, int, tuple[tuple[str, int], ...]], ...] = scalar(
         "by kind: how many are not used, and how many for which reason"
     )
-    findings: tuple[Found, ...] = scalar("what to look at, the most specific first")
+    findings: tuple[dict[str, Any], ...] = scalar(
+        "of context.json, the most specific first, with the `rows` of the targets that each explains"
+    )
     items: tuple[tuple[TargetCard, ...], ...] = scalar(
         "targets in view that were not used and that no finding explains, of one strip and cause each"
     )
@@ -78,7 +69,7 @@ class FirstScreen:
 def first_screen(saved: Saved, targets: Sequence[TargetCard]) -> FirstScreen:
     """The first screen of a saved result with the rows of its targets."""
     findings = _findings(saved, targets)
-    explained = {row.link for one in findings for row in one.rows}
+    explained = {row.link for one in findings for row in one["rows"]}
     unused = [
         row for row in targets if row.state in (State.REJECTED, State.UNMATCHED) and row.link not in explained
     ]
@@ -171,16 +162,14 @@ def _helps(saved: Saved, now: tuple[Number, ...], weakest: int) -> tuple[Help, .
     return tuple(sorted(helps, key=lambda one: -one.gain))
 
 
-def _findings(saved: Saved, targets: Sequence[TargetCard]) -> tuple[Found, ...]:
+def _findings(saved: Saved, targets: Sequence[TargetCard]) -> tuple[dict[str, Any], ...]:
     rows: dict[tuple[str, str], list[TargetCard]] = {}
     for row in targets:
         rows.setdefault((row.strip_id, row.target_id), []).append(row)
     found = []
     for one in saved.context["findings"]:
         names = dict.fromkeys((subject["strip"], subject["id"]) for subject in one["explains"])
-        those = tuple(row for name in names for row in rows.get(name, ()))
-        texts = {name: one[name] for name in ("cause", "item", "text", "is_fault")}
-        found.append(Found(**texts, rows=those))
+        found.append(one | {"rows": tuple(row for name in names for row in rows.get(name, ()))})
     return tuple(found)
 
 

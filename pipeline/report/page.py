@@ -2,8 +2,6 @@
 its data do not suffice, a page that says what is missing.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 from collections import Counter
@@ -18,21 +16,11 @@ from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.table_files import column, list_values
 from boresight.pipeline.files.text_tables import leaves
 from boresight.pipeline.files.whole_file import write_text, write_whole
-from boresight.pipeline.report import figures
+from boresight.pipeline.report import figures, observations
 from boresight.pipeline.report.budget_table import budget_rows
 from boresight.pipeline.report.first_screen import first_screen
 from boresight.pipeline.report.map_view import map_view
 from boresight.pipeline.report.marks import SHAPES, strip_style
-from boresight.pipeline.report.observations import (
-    ExposureCard,
-    SeenCard,
-    TargetCard,
-    data_uri,
-    exposure_rows,
-    strip_numbers,
-    strip_star_rows,
-    target_rows,
-)
 from boresight.pipeline.report.page_template import Number, number_from, template
 from boresight.pipeline.report.saved import Saved, read_saved
 from boresight.pipeline.report.sheet import basis_of, matrix_numbers
@@ -69,8 +57,8 @@ def report_parts(saved: Saved, most_matches: int = MOST_MATCHES) -> Iterator[str
     """The report as HTML, part by part: with thousands of targets tens of MB, as one text twice that.
     Of used targets `most_matches` are pictured, the largest residuals first.
     """
-    targets, exposures = target_rows(saved, most_matches), exposure_rows(saved)
-    strip_stars = strip_star_rows(saved, most_matches)
+    targets, exposures = observations.target_rows(saved, most_matches), observations.exposure_rows(saved)
+    strip_stars = observations.strip_star_rows(saved, most_matches)
     of: Any = template("observations.html.j2").module
     every = ((of.target_card, targets), (of.exposure_card, exposures), (of.star_card, strip_stars))
     more_cards = {row.link: str(card(row)) for card, rows in every for row in rows if not row.printed}
@@ -113,9 +101,9 @@ def report_parts(saved: Saved, most_matches: int = MOST_MATCHES) -> Iterator[str
 
 def _figures(
     saved: Saved,
-    targets: Sequence[TargetCard],
-    exposures: Sequence[ExposureCard],
-    strip_stars: Sequence[SeenCard],
+    targets: Sequence[observations.TargetCard],
+    exposures: Sequence[observations.ExposureCard],
+    strip_stars: Sequence[observations.SeenCard],
 ) -> dict[str, Any]:
     """Drawings by their names in the page's template; of stars and of targets where there are any."""
     has_stars = saved.context["star_camera"] is not None
@@ -196,7 +184,7 @@ def _interior(saved: Saved) -> dict[str, Any] | None:
         "sigma": number("map_sigma_rms_px", ".3f"),
         "strips": number("strips", ".0f"),
         "gauge": [f"{one['name']} (not told from {one['not_told_from']})" for one in content["gauge"]],
-        "picture": data_uri("image/png", saved.interior_png) if saved.interior_png else "",
+        "picture": observations.data_uri("image/png", saved.interior_png) if saved.interior_png else "",
     }
 
 
@@ -206,7 +194,7 @@ def _by_strip(
     """Residuals on the ground of all strips (name empty) and of each: rows of `accuracy_rows`, of which
     `number` gives the numbers.
     """
-    order, rows = strip_numbers(saved), []
+    order, rows = observations.strip_numbers(saved), []
     for n, one in enumerate(accuracy):
         name, parts = one["strip_id"], ("rms_m.0", "rms_m.1", "ce90_m", "le90_m.0", "le90_m.1")
         numbers = [number(f"accuracy.{n}.{part}", ".2f") for part in parts]

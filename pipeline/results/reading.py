@@ -38,12 +38,7 @@ __all__ = [
 ]
 
 ALIGNMENT = re.compile(r"head/[A-Za-z0-9_.-]{1,64}/[xyz]")  # names of unknowns: mounting of a further head
-OTHERS = (
-    "earth/",
-    "reference/",
-    "periodic/",
-    "camera/",
-)  # beginnings of names of further unknowns that are eliminated
+OTHERS = ("earth/", "reference/", "periodic/", "camera/")  # beginnings of others that are eliminated
 # Names of unknowns: distortion along x or y, of a CCD, at a node or of a mode.
 DISTORTION = re.compile(rf"distortion/[xy]/\d{{1,6}}/(-?\d{{1,6}}|{'|'.join(MODES)})")
 

@@ -18,16 +18,10 @@ from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import Dump
 from boresight.pipeline.files.terrain_files import surface_of
 from boresight.pipeline.files.text_files import read_table, read_toml
+from boresight.pipeline.results import strip_model
 from boresight.pipeline.results.check_point_test import DIRECTIONS, RmsTest, rms_test
 from boresight.pipeline.results.place_errors import PassErrors, PlaceErrors, covariance_of_places
 from boresight.pipeline.results.reading import SavedResult
-from boresight.pipeline.results.strip_model import (
-    attitude_track,
-    exposures_around,
-    pushbroom_with,
-    run_settings_of,
-    terrain_sigma_m,
-)
 from boresight.records.record import Floats, Texts, array, record, scalar
 
 __all__ = ["CheckPoints", "TruthErrors", "true_installation", "validation_of"]
@@ -126,12 +120,12 @@ def _check(
     errors, moving = [], []
     for strip_id in sorted({point.strip for point in points} & strips.keys()):
         here, strip = [point for point in points if point.strip == strip_id], strips[strip_id]
-        margin_s = run_settings_of(result, "installation.json").exposure_margin_s
-        near = exposures_around(result, dump, strip, margin_s)
+        margin_s = strip_model.run_settings_of(result, "installation.json").exposure_margin_s
+        near = strip_model.exposures_around(result, dump, strip, margin_s)
         if len(near) < 2:
             continue
-        track = attitude_track(result, dump, near)
-        model = pushbroom_with(track, strip, dump, R_cs)
+        track = strip_model.attitude_track(result, dump, near)
+        model = strip_model.pushbroom_with(track, strip, dump, R_cs)
         ccd, line = np.array([point.ccd for point in here]), np.array([point.line for point in here])
         instants, (first, last) = model.instants_of_lines(ccd, line).tolist(), track.span_s
         seen = [point for point, t in zip(here, instants) if first <= t <= last]
@@ -146,7 +140,7 @@ def _check(
             found += [point for point, known in zip(those, good.tolist()) if known]
             t_s.append(model.instants_of_lines(k, np.array([point.line for point in those])[good]))
             places_e.append(computed_e[good])
-        of_pass = PassErrors.of(result, dump, strip, track, terrain_sigma_m(dump))
+        of_pass = PassErrors.of(result, dump, strip, track, strip_model.terrain_sigma_m(dump))
         moving.append(of_pass.at(np.concatenate(t_s), np.concatenate(places_e)))
     along, across, up, east, north = np.vstack([np.zeros((0, 5)), *errors]).T
     checked = CheckPoints(

@@ -3,8 +3,6 @@
 Everything but run.json is identical, bit for bit, for the same inputs, settings and version.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -53,12 +51,8 @@ __all__ = [
     "write_tables",
 ]
 
-# Of installation.json, in their order (docs/result-format.md).
-FIELDS = (
-    *"verdict blind_spots R_cs quaternion theta_rad euler_zxy_deg covariance_rad2 ground_m_per_rad".split(),
-    *"frames stars targets rows chi2 dof settings version".split(),
-)
-OF_CAMERAS = ("cameras", "between_cameras", "cameras_covariance_rad2")  # of several, in place of a matrix
+# Of the matrix of a single camera, in their order in installation.json (docs/result-format.md).
+MATRIX = tuple("R_cs quaternion theta_rad euler_zxy_deg covariance_rad2 ground_m_per_rad".split())
 
 
 def write_result(result: Path, calibration: DumpCalibration, settings: Settings) -> None:
@@ -197,7 +191,12 @@ def installation_facts(
     """
     error_model, settings = given
     used = dataclasses.asdict(settings) | {"calibration": dataclasses.asdict(error_model)}
-    values = {
+    rows_of = {
+        "ground_references": [plain(one) for one in estimate.references],
+        "periodic_errors": [plain(one) for one in estimate.periodic],
+        "doubtful_targets": [[f"{t.strip}/{t.id}" for t in group] for group in estimate.targets.doubtful],
+    }
+    return {
         "verdict": verdict_json(verdict, rows),
         "blind_spots": blind_spots_json(verdict),
         **_matrices(estimate, grounds, sigma_installation_rad),
@@ -209,20 +208,11 @@ def installation_facts(
         "dof": estimate.dof,
         "settings": used,
         "version": __version__,
+        **(_heads(estimate) if len(estimate.heads) > 1 else {}),
+        **({} if estimate.bias is None else {"common_bias": plain(estimate.bias)}),
+        **_predicted_earth(estimate),
+        **{name: found for name, found in rows_of.items() if found},
     }
-    several = _heads(estimate) if len(estimate.heads) > 1 else {}
-    bias = {} if estimate.bias is None else {"common_bias": plain(estimate.bias)}
-    groups = [[f"{each.strip}/{each.id}" for each in group] for group in estimate.targets.doubtful]
-    doubtful = {"doubtful_targets": groups} if groups else {}
-    earth = _predicted_earth(estimate)
-    if estimate.references:
-        earth = earth | {"ground_references": [plain(one) for one in estimate.references]}
-    if estimate.periodic:
-        earth = earth | {"periodic_errors": [plain(one) for one in estimate.periodic]}
-    matrices = [field for field in values if field in OF_CAMERAS]
-    first, last = FIELDS.index("R_cs"), FIELDS.index("frames")
-    fields = (*FIELDS[:first], *matrices, *FIELDS[last:]) if matrices else FIELDS
-    return {field: values[field] for field in fields} | several | bias | earth | doubtful
 
 
 def _matrices(
@@ -233,14 +223,11 @@ def _matrices(
     for n, (name, ground) in enumerate(zip(estimate.cameras, grounds)):
         R_cs, covariance = estimate.of_camera(name)
         theta = estimate.theta[3 * n : 3 * n + 3]
-        matrix = {
-            **rotation_json(R_cs, "R_cs", theta, covariance),
-            "euler_zxy_deg": np.degrees(euler_zxy_from_theta(theta)).tolist(),
-            "ground_m_per_rad": ground.tolist(),
-        }
-        cameras.append({"name": name} | matrix)
+        matrix = {"name": name} | rotation_json(R_cs, "R_cs", theta, covariance)
+        euler_deg = np.degrees(euler_zxy_from_theta(theta)).tolist()
+        cameras.append(matrix | {"euler_zxy_deg": euler_deg, "ground_m_per_rad": ground.tolist()})
     if len(cameras) == 1:
-        return cameras[0]
+        return {field: cameras[0][field] for field in MATRIX}
     between = [
         {"cameras": list(one.cameras), **rotation_json(one.R_ab, "R_ab", one.theta, one.covariance)}
         | {"p_value": one.p_value, "as_before_launch": one.as_before_launch}

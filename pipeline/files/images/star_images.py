@@ -9,8 +9,6 @@ Size and bit depth are checked in the header before a pixel is decoded. An image
 `RawDataError`; the caller decides whether that stops the run.
 """
 
-from __future__ import annotations
-
 import io
 import math
 import re
@@ -26,13 +24,7 @@ from PIL import Image
 
 from boresight.pipeline.errors import RawDataError, refusing
 from boresight.pipeline.files.content import check_bytes
-from boresight.pipeline.files.images.image_file import (
-    MAX_STAR_BYTES,
-    ImageFile,
-    check_length,
-    check_star_pixels,
-    open_image,
-)
+from boresight.pipeline.files.images import image_file
 from boresight.pipeline.files.images.png import read_png
 
 __all__ = ["grey_image", "opened_fits", "read_exposure", "read_star_image"]
@@ -53,7 +45,7 @@ _NETPBM_HEAD_BYTES = 2**16  # comments included
 
 def read_exposure(path: Path, file: str, *, width: int, height: int, bit_depth: int) -> NDArray[np.uint16]:
     """Raw counts (height, width) of an exposure: PNG, TIFF or FITS, 8 or 16 bits, else `RawDataError`."""
-    opened = open_image(path, file, size=(width, height), bits=8 if bit_depth <= 8 else 16)
+    opened = image_file.open_image(path, file, size=(width, height), bits=8 if bit_depth <= 8 else 16)
     image = _decoded(opened)
     if bit_depth not in (8, 16) and int(image.max()) >> bit_depth:
         raise RawDataError(file, "pixels", f"a value of {image.max()}", f"values of {bit_depth} bits")
@@ -62,10 +54,10 @@ def read_exposure(path: Path, file: str, *, width: int, height: int, bit_depth: 
 
 def read_star_image(path: Path, file: str) -> NDArray[Any]:
     """Values (height, width) of any star image up to 2^28 px, colours grey; no number: the median."""
-    return grey_image(_decoded(open_image(path, file)), file)
+    return grey_image(_decoded(image_file.open_image(path, file)), file)
 
 
-def _decoded(image: ImageFile) -> NDArray[Any]:
+def _decoded(image: image_file.ImageFile) -> NDArray[Any]:
     """Counts (H, W) of an exposure; of any other picture also planes (K, H, W) or (H, W, K)."""
     is_exposure = image.size is not None
     match image.format:
@@ -102,7 +94,7 @@ def grey_image(planes: NDArray[Any], file: str) -> NDArray[Any]:
         raise RawDataError(file, "planes", f"shape {planes.shape}", "one plane, or red, green and blue")
     if planes.dtype.kind not in "uif":
         raise RawDataError(file, "values", str(planes.dtype), "integers or floating point")
-    check_star_pixels(file, planes.shape[-1], planes.shape[-2])
+    image_file.check_star_pixels(file, planes.shape[-1], planes.shape[-2])
     if planes.ndim == 3 and planes.shape[0] == 1:
         planes = planes[0]
     whole = planes.dtype.kind in "ui" and planes.dtype != np.uint8
@@ -124,7 +116,7 @@ def grey_image(planes: NDArray[Any], file: str) -> NDArray[Any]:
 
 
 @contextmanager
-def opened_fits(image: ImageFile, **options: bool) -> Iterator[Any]:
+def opened_fits(image: image_file.ImageFile, **options: bool) -> Iterator[Any]:
     """The HDUs of a file; what astropy raises at damaged headers becomes a `RawDataError`."""
     from astropy.io import fits
 
@@ -150,7 +142,7 @@ def _decoding(file: str, field: str, expected: str) -> Iterator[None]:
         raise RawDataError(file, field, f"{type(error).__name__}: {error}", expected) from error
 
 
-def _read_raw_fits(image: ImageFile) -> NDArray[Any]:
+def _read_raw_fits(image: image_file.ImageFile) -> NDArray[Any]:
     """Counts of an exposure: the primary HDU, of 8 or 16 bits."""
     file = image.name
     with opened_fits(image, do_not_scale_image_data=True) as hdus:
@@ -177,7 +169,7 @@ def _read_raw_fits(image: ImageFile) -> NDArray[Any]:
     return values.astype(np.uint16)
 
 
-def _read_fits(image: ImageFile) -> NDArray[Any]:
+def _read_fits(image: image_file.ImageFile) -> NDArray[Any]:
     """The first HDU with an image: integer or floating, scaled or not, one plane or three."""
     with opened_fits(image, disable_image_compression=True) as hdus:
         for hdu in hdus:
@@ -203,26 +195,26 @@ def _check_packing(header: Any, file: str) -> None:
         raise RawDataError(file, "TTYPE", "GZIP_COMPRESSED_DATA", expected)
 
 
-def _check_fits_size(hdu: Any, image: ImageFile) -> None:
+def _check_fits_size(hdu: Any, image: image_file.ImageFile) -> None:
     """`RawDataError` if an HDU states more values than are read, or than the file holds."""
     width, *more = (int(hdu.header[f"NAXIS{k + 1}"]) for k in range(hdu.header["NAXIS"]))
     size = abs(int(hdu.header["BITPIX"])) // 8
-    check_star_pixels(image.name, width, math.prod(more), size)
+    image_file.check_star_pixels(image.name, width, math.prod(more), size)
     need = width * math.prod(more) * size
     have = image.length - hdu.fileinfo()["datLoc"]
     if have < need and not hasattr(hdu, "compression_type"):
         raise RawDataError(image.name, "pixels", f"{have} bytes", f"{need} bytes")
 
 
-def _read_npy(image: ImageFile) -> NDArray[Any]:
-    check_bytes(image.path, image.name, MAX_STAR_BYTES)
+def _read_npy(image: image_file.ImageFile) -> NDArray[Any]:
+    check_bytes(image.path, image.name, image_file.MAX_STAR_BYTES)
     with _decoding(image.name, "npy", "an array without objects"):
         values = np.load(image.path, mmap_mode="r", allow_pickle=False)
-        check_star_pixels(image.name, values.size // 4, 1, 4 * values.itemsize)
+        image_file.check_star_pixels(image.name, values.size // 4, 1, 4 * values.itemsize)
         return np.array(values)
 
 
-def _read_netpbm(image: ImageFile) -> NDArray[Any]:
+def _read_netpbm(image: image_file.ImageFile) -> NDArray[Any]:
     """Counts of a PGM or PPM file; its largest value, of 12 bits for instance, scales nothing."""
     file = image.name
     if (match := _NETPBM.match(image.first(_NETPBM_HEAD_BYTES))) is None:
@@ -232,7 +224,7 @@ def _read_netpbm(image: ImageFile) -> NDArray[Any]:
     if not (width and height and 0 < largest < 2**16):
         found = f"{width} x {height} px up to {largest}"
         raise RawDataError(file, "header", found, "a size, and a largest value from 1 to 65535")
-    check_star_pixels(file, width, height)
+    image_file.check_star_pixels(file, width, height)
     shape = (height, width) if kind in (2, 5) else (height, width, 3)
     dtype = np.dtype(np.uint16 if largest > 255 else np.uint8)
     if kind in (2, 3):
@@ -263,12 +255,12 @@ def _netpbm_text(content: bytes, start: int, shape: tuple[int, ...], file: str) 
     return values.reshape(shape)
 
 
-def _by_pillow(image: ImageFile, kind: str) -> NDArray[Any]:
+def _by_pillow(image: image_file.ImageFile, kind: str) -> NDArray[Any]:
     """What Pillow decodes as a file of one kind, and as nothing else."""
     with _decoding(image.name, "pixels", "an image that decodes"):
         with image.stream() as stream, Image.open(stream, formats=(kind,)) as picture:
-            check_star_pixels(image.name, *picture.size)
-            check_length(image.path, image.name, 4 * picture.width * picture.height)
+            image_file.check_star_pixels(image.name, *picture.size)
+            image_file.check_length(image.path, image.name, 4 * picture.width * picture.height)
             frames = getattr(picture, "n_frames", 1)
             if frames > 1 and picture.format != "MPO":  # MPO: previews follow
                 raise RawDataError(image.name, "frames", str(frames), "one image")
