@@ -1,5 +1,7 @@
 """The star side of a dump made of arrays, as its files: images, lists of stars, or attitudes."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Any
 

@@ -1,5 +1,7 @@
 """The command line of all features."""
 
+from __future__ import annotations
+
 import os
 import sys
 from collections.abc import Sequence

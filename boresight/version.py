@@ -1,5 +1,7 @@
 """Version of the program, and the git commit that it was made from."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 __all__ = ["__version__", "commit", "version_text"]

@@ -4,6 +4,8 @@ Passes within so many correlation times that an error of them is still correlate
 eliminated together; constant errors of heads, independent about their axes, are correlated from pass to pass.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import fields, replace
 

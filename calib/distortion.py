@@ -14,6 +14,8 @@ its samples, each with a mean square of one over the CCD. The slope is the CCD's
 along y.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np

@@ -22,6 +22,8 @@ Only if p_j reaches a stated probability is j rejected. Otherwise j and its riva
 1968), less if it is far off.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 
 import numpy as np

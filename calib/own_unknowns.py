@@ -11,6 +11,8 @@ q' = R q - r₁ + R₁ s has unit variance again, and targets are all that sees 
 Vᵀ q matters, so that U S = X V takes the place of X. Both steps are exact.
 """
 
+from __future__ import annotations
+
 import numpy as np
 from scipy.linalg import qr
 

@@ -7,6 +7,8 @@ grow by that law (fractional Brownian motion B): the error on day d of a table m
 B(d) - B(m).
 """
 
+from __future__ import annotations
+
 import re
 from collections.abc import Sequence
 

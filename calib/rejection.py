@@ -1,5 +1,7 @@
 """Observations that take no part in an estimate, each with the reason and the numbers of its test."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 
 import numpy as np

@@ -8,6 +8,8 @@ constant over a pass, and independent from pass to pass. A strip around which th
 exposure is of the pass whose exposures cover it; else another head carries it (`heads`).
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise

@@ -10,6 +10,8 @@ error of one pass,
 the covariance of theta with e follows from that of e (`pipeline.results.place_errors`).
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 
 import numpy as np

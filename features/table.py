@@ -1,5 +1,7 @@
 """The features of the program, one line each. A line and the folder of its name can be taken out together."""
 
+from __future__ import annotations
+
 from importlib import import_module
 
 from boresight.pipeline.console.feature import Feature

@@ -4,6 +4,8 @@ Each match is compared with what the others predict; the worst is refused first,
 `_MOST_TOGETHER`, those that follow one another in time are compared: time and memory grow with the number.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import replace
 

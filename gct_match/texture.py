@@ -1,5 +1,7 @@
 """Smallest standard error of a position that a picture's gradients and noise allow (Cramér-Rao)."""
 
+from __future__ import annotations
+
 import cv2
 import numpy as np
 

@@ -3,6 +3,8 @@
 Frame e (ITRS/WGS84: the ellipsoid, unless another is given), metres, radians.
 """
 
+from __future__ import annotations
+
 import erfa
 import numpy as np
 from numpy.typing import ArrayLike

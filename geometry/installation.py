@@ -5,6 +5,8 @@
 the right-handed rotation by **-theta** about the axes of frame c. Angles in radians.
 """
 
+from __future__ import annotations
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 

@@ -1,5 +1,7 @@
 """The two cameras of a scenario: as their makers calibrated them, and the line camera as it really is."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Rows of a gyro between the exposures of drawn strips, with its errors."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import replace
 

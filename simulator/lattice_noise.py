@@ -6,6 +6,8 @@ from such numbers, so that pieces of an endless ground can be made one by one, i
 without a seam.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from functools import cache
 

@@ -5,6 +5,8 @@ normal distribution. The two outermost shares, beyond 4.17, are drawn anew from 
 that no height is left out.
 """
 
+from __future__ import annotations
+
 import math
 from functools import cache
 

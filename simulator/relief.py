@@ -1,5 +1,7 @@
 """Fractal relief: orthometric heights of an invented landscape on a grid of latitude and longitude."""
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import NDArray
 

@@ -5,6 +5,8 @@ of the exposure. Charges are electrons, grey values DN. Photon noise is taken as
 variance, which holds for the tens of electrons and more that every pixel of such a camera collects.
 """
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np

@@ -7,6 +7,8 @@ quaternions of the model are corrected, not those of the satellite in inertial a
 `operator_parameters`; they do not fit into the elements of every product.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from pathlib import Path
 from xml.etree.ElementTree import Comment, Element, tostring

@@ -1,5 +1,7 @@
 """`boresight export`: a result in formats that other tools read."""
 
+from __future__ import annotations
+
 import datetime
 from pathlib import Path
 from typing import Annotated

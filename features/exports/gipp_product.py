@@ -9,6 +9,8 @@ A processor is to take one of the two. Dates of applicability change where they 
 place for a covariance, which is in the format `calibration`.
 """
 
+from __future__ import annotations
+
 import re
 from pathlib import Path
 

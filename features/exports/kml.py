@@ -4,6 +4,8 @@ Coordinates are WGS84 longitude, latitude, ellipsoidal height; KML has heights a
 clamped to the ground and the height is in their description.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from xml.etree import ElementTree
 

@@ -1,5 +1,7 @@
 """Series of rotations as formats of attitudes take them: instants, and quaternions."""
 
+from __future__ import annotations
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 

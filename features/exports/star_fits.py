@@ -1,5 +1,7 @@
 """Identified stars as a FITS binary table: one row per star of an exposure."""
 
+from __future__ import annotations
+
 import io
 from collections.abc import Sequence
 

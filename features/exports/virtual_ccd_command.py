@@ -1,5 +1,7 @@
 """`boresight virtual-ccd`: the CCDs of one strip stitched to one ideal line."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Annotated
 

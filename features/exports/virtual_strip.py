@@ -4,6 +4,8 @@ ground and an RPC.
 The virtual camera has a smooth attitude and equal steps of time between lines, so that an RPC describes it.
 """
 
+from __future__ import annotations
+
 from dataclasses import replace
 from pathlib import Path
 

@@ -3,6 +3,8 @@
 GDAL counts pixels from (0, 0) at the outer corner of the first pixel, and RPCs from its centre, as we do.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from pathlib import Path
 from xml.etree import ElementTree

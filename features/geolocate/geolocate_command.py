@@ -1,5 +1,7 @@
 """`boresight geolocate`: image points of a strip to places on the ground."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Annotated
 

@@ -1,5 +1,7 @@
 """`boresight heads`: the star cameras of a satellite aligned with one another."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 from boresight.features.heads.alignment import heads_alone

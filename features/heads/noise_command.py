@@ -1,5 +1,7 @@
 """`boresight noise`: the noise of the star cameras' attitudes."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 from boresight.features.heads.head_files import noise_json, noise_lines, write_noise

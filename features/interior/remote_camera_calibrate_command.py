@@ -1,5 +1,7 @@
 """`boresight remote-camera-calibrate`: the interior orientation in orbit."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 from boresight.features.interior.interior_files import interior_json, interior_lines, write_interior

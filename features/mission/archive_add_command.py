@@ -1,5 +1,7 @@
 """`boresight archive add`: finished results into the archive of a mission."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 from boresight.features.mission.archive import add_results

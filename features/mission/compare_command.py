@@ -1,5 +1,7 @@
 """`boresight compare`: whether the matrices of two results differ by more than their errors."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Annotated
 

@@ -1,5 +1,7 @@
 """`boresight trends`: the mounting over years, from an archive, as a page and for programs."""
 
+from __future__ import annotations
+
 import datetime
 from pathlib import Path
 from typing import Annotated

@@ -4,6 +4,8 @@ Points are the results without the parts of orbit phase, beta angle and temperat
 mean; each links to its report. Of very many results a point stands for several and links to the last.
 """
 
+from __future__ import annotations
+
 import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path

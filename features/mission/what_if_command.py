@@ -1,5 +1,7 @@
 """`boresight what-if`: a saved result with other strips, or with other errors of strips."""
 
+from __future__ import annotations
+
 import numpy as np
 import typer
 

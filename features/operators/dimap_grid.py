@@ -1,5 +1,7 @@
 """Ground points of pixels of a Pleiades strip (DIMAP V1), compared with the operator's location grid."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from pathlib import Path
 

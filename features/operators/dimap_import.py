@@ -1,5 +1,7 @@
 """A DIMAP file as a dump: the operator's attitude (polynomial or list) as a head, look tables, line times."""
 
+from __future__ import annotations
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 

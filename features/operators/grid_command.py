@@ -2,6 +2,8 @@
 pixels of a strip in DIMAP to places.
 """
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Annotated
 

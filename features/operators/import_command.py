@@ -1,5 +1,7 @@
 """`boresight import`: dumps and points of an operator's own files."""
 
+from __future__ import annotations
+
 import csv
 import re
 from contextlib import suppress

@@ -2,6 +2,8 @@
 how far they are from the operator's own.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated

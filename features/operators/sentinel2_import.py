@@ -1,5 +1,7 @@
 """A Sentinel-2 L1B datastrip as a dump: star trackers or corrected attitudes, look tables, line times."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Literal
 

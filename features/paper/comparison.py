@@ -1,5 +1,7 @@
 """The paper's printed values beside those of an experiment, like for like, as lines of text."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator
 
 import numpy as np

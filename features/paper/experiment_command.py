@@ -1,5 +1,7 @@
 """`boresight experiment`: a simulation of the paper, its printed values beside ours."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from functools import partial
 from pathlib import Path

@@ -4,6 +4,8 @@ Table 1 is simulated: each error alone, with perfect attitude and matrix, at gro
 those of the scenario `paper`, evaluated by its camera models.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from dataclasses import replace
 

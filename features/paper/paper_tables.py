@@ -1,5 +1,7 @@
 """Values printed in the paper's section 3: Tables 1 to 5 (4 and 5: single draws) and the text."""
 
+from __future__ import annotations
+
 from math import sqrt
 
 __all__ = [

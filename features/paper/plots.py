@@ -4,6 +4,8 @@ All are 7.3 inches wide (legible at 800 px). Series differ in marker and dash, s
 grey.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import Any
 

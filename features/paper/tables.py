@@ -4,6 +4,8 @@ The simulations are in `vector_experiments`, `geometry_search` and `pixels`; sta
 Hipparcos.
 """
 
+from __future__ import annotations
+
 import datetime
 import os
 import platform

@@ -1,5 +1,7 @@
 """`boresight plan`: what a campaign will reach."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Annotated
 

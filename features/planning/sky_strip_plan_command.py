@@ -1,5 +1,7 @@
 """`boresight sky-strip-plan`: scans of the sky to take."""
 
+from __future__ import annotations
+
 from functools import partial
 from pathlib import Path
 

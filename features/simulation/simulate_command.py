@@ -1,5 +1,7 @@
 """`boresight simulate`: a mission with known truth as a dump."""
 
+from __future__ import annotations
+
 import json
 import time
 from collections.abc import Callable, Sequence

@@ -1,5 +1,7 @@
 """Lists of centroids as other programs hand them over, arrays or tables, as lists of stars."""
 
+from __future__ import annotations
+
 import numbers
 from collections.abc import Iterable
 from typing import TypeGuard

@@ -1,5 +1,7 @@
 """`boresight centroids`: the stars of images found and measured; with a truth, how well."""
 
+from __future__ import annotations
+
 import time
 from pathlib import Path
 

@@ -1,5 +1,7 @@
 """`boresight identify`: the stars of single images named."""
 
+from __future__ import annotations
+
 import json
 from pathlib import Path
 

@@ -1,5 +1,7 @@
 """The page of `boresight identify --report`: what was seen in one star image and why, identified or not."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Any
 

@@ -1,5 +1,7 @@
 """Arguments and options of the commands about images of the sky."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Annotated
 

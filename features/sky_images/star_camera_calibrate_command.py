@@ -1,5 +1,7 @@
 """`boresight star-camera-calibrate`: a star camera calibrated from images of the sky."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,5 +1,7 @@
 """`boresight star-camera-plan`: fields of the sky that calibrate a star camera best."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,5 +1,7 @@
 """Write the FITS file that astronomy software reads: a TAN-SIP header and the identified stars."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 import numpy as np

@@ -1,5 +1,7 @@
 """The page of `boresight match`: all candidates with their pictures, and why each was matched or not."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from pathlib import Path
 

@@ -1,5 +1,7 @@
 """The page of `boresight dump check`: errors, what would not be used, and a map of footprints and targets."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 import numpy as np

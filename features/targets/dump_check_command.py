@@ -1,5 +1,7 @@
 """`boresight dump check`: all about a dump that needs no calibration."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 from boresight.features.targets.dump_check import check_dump, check_lines

@@ -1,5 +1,7 @@
 """`boresight dump init`: the skeleton of a dump."""
 
+from __future__ import annotations
+
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated

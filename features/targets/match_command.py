@@ -1,5 +1,7 @@
 """`boresight match`: a dump's targets found in its strips."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Annotated
 

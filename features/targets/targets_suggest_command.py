@@ -1,5 +1,7 @@
 """`boresight targets suggest`: ground targets chosen in ortho-images."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal

@@ -4,6 +4,8 @@ Refused is what would be wrong without a trace: measurements that are given twic
 degrees from where the other arguments place them.
 """
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, TypeAlias

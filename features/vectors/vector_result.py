@@ -1,5 +1,7 @@
 """What a calibration from vectors found, as tables, as a result folder and as a page."""
 
+from __future__ import annotations
+
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -3,6 +3,8 @@
 A warp (3, 3) takes (x, y, 1) of one picture to those of another; P (2, 3) is the displacement P (x, y, 1).
 """
 
+from __future__ import annotations
+
 import cv2
 import numpy as np
 

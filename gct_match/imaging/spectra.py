@@ -4,6 +4,8 @@ Spectra are packed as by OpenCV: as many real numbers as pixels, real and imagin
 powers and filters without phase are element-wise products. Frequencies are in cycles per pixel.
 """
 
+from __future__ import annotations
+
 from functools import lru_cache
 from typing import Any
 

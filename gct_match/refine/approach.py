@@ -5,6 +5,8 @@ are the squared local correlation, later ones follow from the residuals. A small
 soon as the template's blocks show one.
 """
 
+from __future__ import annotations
+
 import cv2
 import numpy as np
 

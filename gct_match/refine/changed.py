@@ -6,6 +6,8 @@ the fit wherever it begins. All edges count alike, therefore, by their direction
 others, and the scatter of the template's blocks, of which each sees changes of its own, is the covariance.
 """
 
+from __future__ import annotations
+
 import cv2
 import numpy as np
 

@@ -9,6 +9,8 @@ second moment of the kernel, a ramp of the gain adds s² times its slope times t
 would appear as a shift of thousandths of a pixel.
 """
 
+from __future__ import annotations
+
 from functools import lru_cache
 
 import cv2

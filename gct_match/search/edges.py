@@ -11,6 +11,8 @@ The median suppresses noise on flat ground. A picture holds integers, or single 
 is not valid: there z is zero.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import cv2

@@ -1,5 +1,7 @@
 """Arguments and options of several commands, and of records whose fields are options."""
 
+from __future__ import annotations
+
 import dataclasses
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,5 +1,7 @@
 """`boresight calibrate`: the installation matrix from raw images."""
 
+from __future__ import annotations
+
 import platform
 import shlex
 import sys

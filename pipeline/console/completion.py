@@ -1,5 +1,7 @@
 """What a shell offers for the values of arguments and options, after `boresight --install-completion`."""
 
+from __future__ import annotations
+
 import csv
 from collections.abc import Callable, Iterable
 from contextlib import suppress

@@ -1,5 +1,7 @@
 """The program of the command line, put together from features; a command is imported when it is called."""
 
+from __future__ import annotations
+
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress

@@ -1,5 +1,7 @@
 """Progress of long work: bars on a terminal; elsewhere, and in a log file, a line a stage and each tenth."""
 
+from __future__ import annotations
+
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,5 +1,7 @@
 """`boresight report`: one HTML page about a result."""
 
+from __future__ import annotations
+
 from typing import Annotated
 
 import typer

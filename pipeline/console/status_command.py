@@ -1,5 +1,7 @@
 """`boresight status`: what of a run is finished and what is not used."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Annotated
 

@@ -1,5 +1,7 @@
 """`boresight validate`: a result against the truth of a simulated dump."""
 
+from __future__ import annotations
+
 import time
 from pathlib import Path
 from typing import Annotated

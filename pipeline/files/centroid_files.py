@@ -1,5 +1,7 @@
 """Read lists of centroids, one row a star, as `boresight centroids --out` writes them."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 import numpy as np

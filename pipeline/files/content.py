@@ -7,6 +7,8 @@ The bytes of the last small file that was read as a whole stay in memory, and ar
 size, its place on the disk and its times are the same. So do the digests of files.
 """
 
+from __future__ import annotations
+
 import errno
 import hashlib
 import math

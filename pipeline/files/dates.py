@@ -1,5 +1,7 @@
 """Dates of a dump's parts against one another: the orbit, star exposures and strips have times in common."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np

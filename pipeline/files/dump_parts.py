@@ -3,6 +3,8 @@
 Whoever opens a dump stops at the first part that is wrong; whoever checks one goes on to the others.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from functools import cached_property

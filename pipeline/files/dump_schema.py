@@ -4,6 +4,8 @@ Units are those of the files and part of the names. Unknown keys are refused, nu
 ranges are wider than any instrument's; they exclude what can only be a wrong unit or a damaged file.
 """
 
+from __future__ import annotations
+
 import math
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args

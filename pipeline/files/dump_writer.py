@@ -1,5 +1,7 @@
 """Write a simulated mission as a dump (docs/dump-format.md); its truth goes to `truth/` only."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from pathlib import Path

@@ -1,5 +1,7 @@
 """Read a gyro's record: CSV of rates, or of the angles by which it turned since the row before."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 import numpy as np

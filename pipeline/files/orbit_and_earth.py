@@ -1,5 +1,7 @@
 """The orbit of a dump: the states of its file, joined to the rotation of the Earth over them."""
 
+from __future__ import annotations
+
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path

@@ -6,6 +6,8 @@ field of theirs. All other fields are values of the record as a whole, kept as J
 bit.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum

@@ -1,5 +1,7 @@
 """Read and write remote_camera.toml: a camera described by its hardware, or by tables of look directions."""
 
+from __future__ import annotations
+
 from pathlib import Path
 from typing import Any
 

@@ -3,6 +3,8 @@
 Star catalogue, Earth-orientation table, geoid and ground image are read here and passed to the simulator.
 """
 
+from __future__ import annotations
+
 import tomllib
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,5 +1,7 @@
 """State the noise of the heads in a dump's own dump.toml; comments and all other keys stay as they are."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from pathlib import Path
 

@@ -1,5 +1,7 @@
 """Read the Parquet tables of a result; a damaged file is an error."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

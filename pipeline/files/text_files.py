@@ -3,6 +3,8 @@
 Nothing in a file is executed: values are text and numbers, and paths stay inside the dump.
 """
 
+from __future__ import annotations
+
 import csv
 import gzip
 import io

@@ -4,6 +4,8 @@ A text is parsed without DTD, entities or references, and every number is checke
 their namespaces.
 """
 
+from __future__ import annotations
+
 import codecs
 import re
 from pathlib import Path

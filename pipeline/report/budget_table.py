@@ -1,5 +1,7 @@
 """The uncertainty budget as pages show it: each source's share of the variance about each axis."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from typing import Any
 

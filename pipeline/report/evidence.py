@@ -4,6 +4,8 @@ several dumps jointly the budget alone.
 The same inputs, settings and version give identical files.
 """
 
+from __future__ import annotations
+
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

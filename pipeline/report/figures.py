@@ -1,5 +1,7 @@
 """Plots of a report, each a function from the saved files to a `Drawing`."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

@@ -4,6 +4,8 @@ Each finding names a cause and the items that it concerns, and states the number
 need the images; what the estimate and the dump alone show is in the verdict.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any

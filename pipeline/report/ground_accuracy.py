@@ -4,6 +4,8 @@ CE90 is the radius of the circle around zero that holds 90 % of the horizontal e
 that holds 90 % of the errors along one axis (here along and across the track; one strip measures no height).
 """
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np

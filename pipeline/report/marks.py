@@ -2,6 +2,8 @@
 where none covers another label, a mark or a line.
 """
 
+from __future__ import annotations
+
 import numpy as np
 
 from boresight.records.record import Floats

@@ -1,5 +1,7 @@
 """What a notebook shows: a calibration with its verdict, matrix and map, and how far a running one is."""
 
+from __future__ import annotations
+
 import html
 import sys
 from typing import Any

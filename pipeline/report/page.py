@@ -2,6 +2,8 @@
 its data do not suffice, a page that says what is missing.
 """
 
+from __future__ import annotations
+
 import functools
 import json
 from collections import Counter

@@ -1,5 +1,7 @@
 """A page printed to PDF by a Chromium that the machine has; boresight brings none."""
 
+from __future__ import annotations
+
 import shutil
 import subprocess
 import tempfile

@@ -1,5 +1,7 @@
 """Strips of the sky as the page shows them where a map of the ground would be: their stars on the sky."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Pictures of targets that were not matched: what the strip shows where the calibrated model expects them."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any, get_type_hints
 

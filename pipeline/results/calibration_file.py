@@ -4,6 +4,8 @@ One JSON object; `R_cs` takes star-camera vectors to the remote-sensing camera, 
 small rotation about the axes of the remote-sensing camera. Without a limit a date is null.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping
 from typing import Any
 

@@ -18,6 +18,8 @@ The result of several dumps has `dumps.json` too, the full result of each dump i
 itself what is joint: no stars, exposures and work.
 """
 
+from __future__ import annotations
+
 import shutil
 import tempfile
 import weakref

@@ -1,5 +1,7 @@
 """Columns of the tables in a result's folder `sightings`: written and read by this one declaration."""
 
+from __future__ import annotations
+
 import json
 from pathlib import Path
 from types import MappingProxyType

@@ -1,5 +1,7 @@
 """Summaries of a calibration and a validation as text for the terminal."""
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any

@@ -3,6 +3,8 @@
 Everything but run.json is identical, bit for bit, for the same inputs, settings and version.
 """
 
+from __future__ import annotations
+
 import dataclasses
 from collections.abc import Mapping, Sequence
 from pathlib import Path

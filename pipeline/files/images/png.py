@@ -7,6 +7,8 @@ rounded pixel by pixel, and colours are left to Pillow, colours of 16 bits to th
 would drop the lower 8. PNG: ISO/IEC 15948:2004.
 """
 
+from __future__ import annotations
+
 import struct
 from collections.abc import Iterator
 from itertools import islice, pairwise

@@ -9,6 +9,8 @@ Size and bit depth are checked in the header before a pixel is decoded. An image
 `RawDataError`; the caller decides whether that stops the run.
 """
 
+from __future__ import annotations
+
 import io
 import math
 import re
