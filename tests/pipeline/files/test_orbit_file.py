@@ -56,6 +56,8 @@ def assert_as_library(path: Path) -> None:
     expected = ((tai.jd1 - tai.jd1[0]) + (tai.jd2 - tai.jd2[0])) * 86_400.0
     # 2e-10 s: a Julian date's second part, below a day, has 1e-16 days of rounding for each operation.
     assert np.allclose(found.t_s - found.t_s[0], expected, rtol=0, atol=2e-10)
+    first_s = (tai[0] - Time("2000-01-01T12:00:00", scale="tai")).to_value("s")
+    assert found.epoch.tai_s + found.t_s[0] == pytest.approx(first_s, abs=1e-6)
     assert np.array_equal(found.positions_m, 1e3 * np.array([state.position for state in states]))
     assert np.array_equal(found.velocities_m_s, 1e3 * np.array([state.velocity for state in states]))
 

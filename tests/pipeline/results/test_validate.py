@@ -48,9 +48,14 @@ def test_errors_on_the_ground_are_told_along_and_across_the_track(axis, along, k
     # Earth's rotation puts less than a tenth of it into the other direction.
     dump, true = known
     wrong = replace(true, R_cs=Rotation.from_euler(axis, 1e-4) * true.R_cs)
-    rms = validation_of(wrong, dump).after.rms_m
-    mine, other = rms if along else rms[::-1]
+    after = validation_of(wrong, dump).after
+    mine, other = after.rms_m if along else after.rms_m[::-1]
     assert mine > 45.0 and other < 0.15 * mine
+    x, y, z = dump.orbit.positions_e(dump.strips[0].t_first_row_s + np.array([0.0, 1.0])).T
+    east, north = np.diff(np.arctan2(y, x))[0], np.diff(np.arctanh(z / np.hypot(np.hypot(x, y), z)))[0]
+    motion = (east + 1j * north) / np.hypot(east, north)  # on Mercator's map, of which angles are true
+    turned = (after.east_m + 1j * after.north_m) / (after.along_m - 1j * after.across_m)  # to the right: -i
+    assert np.abs(turned / motion - 1.0).max() < 0.02  # the flattening of the Earth
 
 
 def with_run(true: SavedResult, **changes: object) -> SavedResult:
