@@ -194,6 +194,8 @@ def test_every_result_shows_itself(estimate: bs.Calibration, ground: np.ndarray)
         axes = result.plot()
         assert isinstance(axes, Axes)
         assert result.plot(axes) is axes
+    checks = pd.concat([estimate.checks, vectors.checks])
+    assert checks[["p_plain", "p_value"]].stack().dropna().between(0.0, 1.0).all() and len(checks) > 9
     shown = {"stars": np.vstack([stars.xy_px, stars.misshapen_px]), "lens": lens.fit.xy_px}
     residuals = ["residual_x_arcsec", "residual_y_arcsec"]
     shown |= {"estimate": estimate.targets[residuals], "vectors": vectors.targets[residuals]}
