@@ -164,7 +164,6 @@ def heads_lines(found: HeadsAlone) -> list[str]:
     """Each alignment with its error, its difference from what is stated, and its changes."""
     lines: list[str] = []
     for one, stated in zip(found.alignments, found.stated):
-        sigma = np.sqrt(np.diag(one.covariance_s))
         difference = (one.R_sh * stated.inv()).as_rotvec()
         statistic = float(difference @ np.linalg.solve(one.covariance_s, difference))
         quaternion = "".join(f"{value:+14.9f}" for value in one.R_sh.as_quat(canonical=True))
@@ -174,15 +173,15 @@ def heads_lines(found: HeadsAlone) -> list[str]:
         lines += [
             f"{one.head} to {found.reference}, {one.n_rows} common instants",
             f"  {'quaternion, scalar last':26s}{quaternion}",
-            _arcsec("  1 sigma about x y z, arcsec", sigma),
-            _arcsec("  against the stated matrices", difference)
-            + f"   chi2 {statistic:.1f} of 3, p {float(chdtrc(3, statistic)):.1e}",
+            f"{'  1 sigma about x y z, arcsec':30s}{_numbers(np.sqrt(np.diag(one.covariance_s)))}",
+            f"{'  against the stated matrices':30s}{_numbers(difference)}"
+            f"   chi2 {statistic:.1f} of 3, p {float(chdtrc(3, statistic)):.1e}",
             f"  angle between lines of sight {np.degrees(one.angle_rad):.5f} deg ± "
             f"{one.sigma_angle_rad / ARCSEC:.2f} arcsec, stated {np.degrees(z_stated):.5f} deg: "
             f"{off:+.2f} arcsec, {sigmas:.1f} sigma",
         ]
         lines += [
-            _arcsec(f"  per {term.name}, arcsec", term.value) + "   ±" + _numbers(term.sigma)
+            f"{f'  per {term.name}, arcsec':30s}{_numbers(term.value)}   ±{_numbers(term.sigma)}"
             for term in one.terms
         ]
         lines.append(_offset_line(one))
@@ -195,10 +194,6 @@ def _offset_line(one: HeadAlignment) -> str:
     return (
         f"  time offset {1e3 * one.time_offset_s:+.2f} ms ± {1e3 * one.sigma_time_offset_s:.2f} ms (late: +)"
     )
-
-
-def _arcsec(name: str, values: Floats) -> str:
-    return f"{name:30s}{_numbers(values)}"
 
 
 def _numbers(values: Floats) -> str:

@@ -82,7 +82,7 @@ def read_attitudes(
     for None, "TAI", "GPS"). `RawDataError` names `file`, line or field, found and expected.
     """
     text = read_message(path, file)
-    message = text.lstrip().startswith(("CCSDS_", "<"))
+    message = text.lstrip().startswith(("CCSDS_", "COMMENT", "<"))
     for key, value in (("frame", frame), ("rotation", rotation), ("time_scale", time_scale)):
         if message and value is not None:
             expected = "no such key: a message states its own"
@@ -90,7 +90,12 @@ def read_attitudes(
         if not message and value is None and key != "time_scale":
             raise RawDataError("dump.toml", f"{key} of {file}", "nothing", "this key, for a CSV file")
     if frame is None:
-        rows = AttitudeRows.together([_of(one, file, epoch) for one in read_attitude_message(text, file)])
+        found = read_attitude_message(text, file)
+        inertial = set(get_args(InertialFrame))
+        if len(kinds := {" and ".join(sorted({*_frames(one, file)} - inertial)) for one in found}) > 1:
+            expected = "one head, in all blocks against inertial axes or in all against ITRF"
+            raise RawDataError(file, " and ".join(FRAMES), "; ".join(sorted(kinds)), expected)
+        rows = AttitudeRows.together([_of(one, file, epoch) for one in found])
     else:
         rows = _from_csv(path, file, epoch, frame, str(rotation), time_scale or "UTC")
     check_rows(rows, file)
@@ -112,10 +117,7 @@ def _from_csv(
 ) -> AttitudeRows:
     clock = time_scale.lower()  # name of the column of times
     optional = (*SIGMAS, *COVARIANCES, "valid", "temperature_c")
-    times: list[str] = []
-    values: list[list[float]] = []
-    names: tuple[str, ...] = ()
-    invalid = 0
+    times, values, names, invalid = list[str](), list[list[float]](), tuple[str, ...](), 0
     for line, row in csv_rows(path, (clock, *COMPONENTS), optional, file):
         if not names:
             names = tuple(name for name in row if name not in (clock, "valid"))
@@ -187,22 +189,26 @@ def _from_outer(R: Rotation, is_outer_to_head: bool, frame: AttitudeFrame) -> Ro
     return R_head if frame == "ITRF" else R_head * rotation_to_gcrs(frame).inv()
 
 
-def _of(found: MessageAttitudes, file: str, epoch: Epoch) -> AttitudeRows:
-    """Attitudes of a message, whose rotations relate an inertial or Earth-fixed frame and the head."""
-    stated = found.stated
-    frames = [stated.values[key].upper() for key in FRAMES]
+def _frames(found: MessageAttitudes, file: str) -> list[str]:
+    """Frames A and B of a message, of which one is inertial or Earth-fixed and one that of the head."""
+    frames = [found.stated.values[key].upper() for key in FRAMES]
     frames = [EARTH_FIXED if frame.startswith("ITRF") else SAME_FRAME.get(frame, frame) for frame in frames]
-    outer = [frame for frame in OUTER if frame in frames]
-    if len(outer) != 1 or frames[0] == frames[1]:
-        expected = f"one of {', '.join(OUTER)}, and the head"
-        raise RawDataError(file, f"{stated.begin}{' and '.join(FRAMES)}", " and ".join(frames), expected)
+    if sum(frame in OUTER for frame in frames) != 1:
+        field, expected = " and ".join(FRAMES), f"one of {', '.join(OUTER)}, and the head"
+        raise RawDataError(file, found.stated.begin + field, " and ".join(frames), expected)
+    return frames
+
+
+def _of(found: MessageAttitudes, file: str, epoch: Epoch) -> AttitudeRows:
+    """Attitudes of a message that lead from GCRS, or from ITRS, to the head."""
+    stated, frames = found.stated, _frames(found, file)
+    (outer,) = (frame for frame in OUTER if frame in frames)
     if (direction := stated.values.get("ATTITUDE_DIR", "A2B").upper()) not in ("A2B", "B2A"):
         raise stated.error("ATTITUDE_DIR", direction, "A2B or B2A", file)
     variance = found.variance_rad2
-    head_is_b = frames[0] in OUTER
     return AttitudeRows(
         t_s=found.t_s + float(found.since.tai_s - epoch.tai_s),
-        R_si=_from_outer(found.R_ab, (direction == "A2B") != head_is_b, outer[0]),
+        R_si=_from_outer(found.R_ab, (direction == "A2B") != (frames[0] in OUTER), outer),
         covariance_s=None if variance is None else variance[:, :, None] * np.eye(3),
-        is_earth_fixed=outer[0] == EARTH_FIXED,
+        is_earth_fixed=outer == EARTH_FIXED,
     )

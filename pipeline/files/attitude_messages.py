@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -67,7 +68,7 @@ UNIT_LENGTH = 1e-3
 
 @record(kw_only=True)
 class MessageAttitudes:
-    """Attitudes of one block of a message, or of several that relate the same frames."""
+    """Attitudes of one block of a message."""
 
     stated: Block = scalar("its keywords: REF_FRAME_A, REF_FRAME_B and, in version 1.0, ATTITUDE_DIR")
     since: Epoch = scalar("zero of `t_s`")
@@ -77,10 +78,10 @@ class MessageAttitudes:
 
 
 def read_attitude_message(text: str, file: str) -> list[MessageAttitudes]:
-    """The attitudes of a message, segment by segment; those of an ACM, which must be of one head, as one.
+    """The attitudes of a message, block by block.
 
-    `file` names it in errors. Raises `RawDataError` for attitudes of another kind, that relate different
-    frames, and for covariances of another kind or at other times.
+    `file` names it in errors. Raises `RawDataError` for attitudes of another kind, and for covariances of
+    another kind or at other times.
     """
     kind, blocks = message_blocks(text, file, AEM, ACM)
     meta, found, covariances = blocks[0], list[MessageAttitudes](), list[tuple[Block, Block]]()
@@ -95,7 +96,7 @@ def read_attitude_message(text: str, file: str) -> list[MessageAttitudes]:
             covariances.append((meta, block))
     if not found:
         raise RawDataError(file, "attitudes", "none", f"a block with attitudes, as {kind.standard} has it")
-    return found if kind is AEM else [_of_one_head(found, covariances, file)]
+    return _with_variances(found, covariances, file) if covariances else found
 
 
 def _check_version_2(meta: Block, version: str, file: str) -> None:
@@ -117,7 +118,9 @@ def _attitudes(stated: Block, meta: Block, rows: Block, file: str) -> MessageAtt
     if names == ANGLES:
         axes = _sequence(stated, file)
         _name_angles(rows, axes, file)
-    first = names == QUATERNION and stated.values.get("QUATERNION_TYPE", "LAST").upper() == "FIRST"
+    if (scalar_is := stated.values.get("QUATERNION_TYPE", "LAST").upper()) not in ("FIRST", "LAST"):
+        raise stated.error("QUATERNION_TYPE", scalar_is, "FIRST or LAST", file)
+    first = names == QUATERNION and scalar_is == "FIRST"
     order = (names[-1], *names[:-1]) if first else names
     since, t_s, values = _numbers(rows, order, meta, file)
     values = np.roll(values, -1, axis=1) if first else values
@@ -167,25 +170,6 @@ def rotations_of(values: Floats, sequence: str, file: str) -> Rotation:
     return Rotation.from_quat(values)
 
 
-def _of_one_head(
-    found: Sequence[MessageAttitudes], covariances: Sequence[tuple[Block, Block]], file: str
-) -> MessageAttitudes:
-    """The attitudes of all blocks of an ACM with their variances."""
-    frames = [[one.stated.values[key] for key in FRAMES] for one in found]
-    if other := [one for one in frames if one != frames[0]]:
-        both = "; ".join(" and ".join(one) for one in (frames[0], other[0]))
-        raise RawDataError(file, " and ".join(FRAMES), both, "one head; delete the other blocks")
-    since = found[0].since
-    t_s = np.concatenate([one.t_s + float(one.since.tai_s - since.tai_s) for one in found])
-    return MessageAttitudes(
-        stated=found[0].stated,
-        since=since,
-        t_s=t_s,
-        R_ab=Rotation.concatenate([one.R_ab for one in found]),
-        variance_rad2=_variance(covariances, frames[0][1], (since, t_s), file) if covariances else None,
-    )
-
-
 def _numbers(block: Block, names: Sequence[str], meta: Block, file: str) -> tuple[Epoch, Floats, Floats]:
     """Epoch, TAI seconds (N,) since it, and the first numbers (N, M) of each row of a block.
 
@@ -214,22 +198,24 @@ def _numbers(block: Block, names: Sequence[str], meta: Block, file: str) -> tupl
     return since, t_s, np.array(values, dtype=float).reshape(-1, len(names))
 
 
-def _variance(
-    stated: Sequence[tuple[Block, Block]], head: str, times: tuple[Epoch, Floats], file: str
-) -> Floats:
-    """Variances (N, 3), rad², about the axes of the head at the times of its attitudes."""
+def _with_variances(
+    found: Sequence[MessageAttitudes], stated: Sequence[tuple[Block, Block]], file: str
+) -> list[MessageAttitudes]:
+    """The attitudes of an ACM with the variances at their times, `stated` in blocks of such metadata."""
+    head, since = found[0].stated.values["REF_FRAME_B"], found[0].since
     remedy = "; or no COV block, and noise.white_arcsec in dump.toml"
     for _, block in stated:
         kind = f"{block.values.get('COV_TYPE')} in {block.values.get('COV_REF_FRAME')}"
         if kind.upper() != f"ANGLE in {head}".upper():
             raise block.error("COV_TYPE", kind, f"ANGLE in {head}{remedy}", file)
     parts = [_numbers(block, VARIANCES, meta, file) for meta, block in stated]
-    since, t_s = times
+    t_s = np.concatenate([one.t_s + float(one.since.tai_s - since.tai_s) for one in found])
     own_s = np.concatenate([t + float(epoch.tai_s - since.tai_s) for epoch, t, _ in parts])
     if len(own_s) != len(t_s) or np.any(np.abs(own_s - t_s) > 1e-6):
-        found = f"{len(own_s)} covariances"
-        raise RawDataError(file, "COV_START", found, f"one at each of {len(t_s)} attitudes{remedy}")
+        expected = f"one at each of {len(t_s)} attitudes{remedy}"
+        raise RawDataError(file, "COV_START", f"{len(own_s)} covariances", expected)
     variance = np.concatenate([values for _, _, values in parts])
     if not np.all(variance > 0.0):
         raise RawDataError(file, "COV_START", f"{variance.min():g} deg²", "positive variances")
-    return np.asarray(np.radians(np.radians(variance)))
+    of_blocks = np.split(np.radians(np.radians(variance)), np.cumsum([len(one.t_s) for one in found])[:-1])
+    return [replace(one, variance_rad2=own) for one, own in zip(found, of_blocks)]

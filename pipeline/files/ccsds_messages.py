@@ -6,17 +6,23 @@ line, too, or an element with an element for each.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from xml.etree.ElementTree import Element
 
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files.content import check_extent
 from boresight.pipeline.files.xml_files import elements_of, xml_root
 from boresight.records.record import record, scalar
 
 __all__ = ["Block", "MessageKind", "message_blocks"]
 
 HEADER, OUTSIDE = "header", ""  # names of what stands before the first block, and between blocks
-MAX_SEGMENTS = 10_000  # of a message in XML: far more than an operator's has
+MAX_SEGMENTS = 10_000  # of a message: far more than an operator's has
+MAX_LINES = 2**20  # of a message in KVN; a row takes 0.5 kB
+# Units of the elements of a row in CCSDS 505.0-B, by their names; values in others are refused.
+UNITS = dict.fromkeys("XYZ", "km") | dict.fromkeys(("X_DOT", "Y_DOT", "Z_DOT"), "km/s")
+UNITS |= dict.fromkeys(("ANGLE_1", "ANGLE_2", "ANGLE_3"), "deg")
 
 
 @record(kw_only=True)
@@ -85,7 +91,9 @@ def message_blocks(text: str, file: str, *kinds: MessageKind) -> tuple[MessageKi
         kind, message = _message(root, kinds, file)
         blocks = list(_xml_blocks(message, kind, file))
     else:
-        rows = [(number, given.strip()) for number, given in enumerate(text.splitlines(), start=1)]
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+        check_extent(file, "text", (text.count("\n"),), MAX_LINES, "lines")
+        rows = [(number, given.strip()) for number, given in enumerate(text.split("\n"), start=1)]
         rows = [(number, line) for number, line in rows if line and not line.startswith("COMMENT")]
         number, first = rows[0] if rows else (1, "nothing")
         of_first = [one for one in kinds if first.startswith(one.mark)]
@@ -93,6 +101,7 @@ def message_blocks(text: str, file: str, *kinds: MessageKind) -> tuple[MessageKi
             marks, names = (" or ".join(part) for part in zip(*((one.mark, one.name) for one in kinds)))
             raise RawDataError(file, f"line {number}", first[:64], f"{marks} = ..., or {names} in XML")
         kind, blocks = of_first[0], list(_kvn_blocks(rows, of_first[0], file))
+    check_extent(file, "META", (sum(block.name == "META" for block in blocks),), MAX_SEGMENTS, "blocks")
     if (version := blocks[0].values.get(kind.mark, "nothing")) not in kind.versions:
         raise blocks[0].error(kind.mark, version, ", ".join(kind.versions), file)
     return kind, blocks
@@ -203,8 +212,12 @@ def _line(row: Element, names: Sequence[str], file: str, where: str) -> str:
     """The text of a row, or of its elements, in the order of `names`."""
     if not len(row):
         return (row.text or "").strip()
-    words = {one.tag: (one.text or "").strip() for one in row.iter()}
+    words = defaultdict[str, list[str]](list)
+    for one in row.iter():
+        words[one.tag] += (one.text or "").split()
+        if (unit := one.get("units", "").lower()) and unit != UNITS.get(one.tag, unit):
+            raise RawDataError(file, f"{where}, {one.tag}", f"units {unit}", UNITS[one.tag])
     for name in names:
-        if len(words.get(name, "").split()) != 1:
-            raise RawDataError(file, f"{where}, {name}", words.get(name) or "nothing", "one value")
-    return " ".join(words[name] for name in names)
+        if len(words[name]) != 1:
+            raise RawDataError(file, f"{where}, {name}", " ".join(words[name]) or "nothing", "one value")
+    return " ".join(words[name][0] for name in names)

@@ -13,6 +13,8 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace as Of
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,6 +25,7 @@ from scipy.spatial.transform import Rotation
 from wrong_vectors import drawn_vectors
 
 import boresight as bs
+from boresight import missions
 from boresight.display import Result
 from boresight.features.planning import campaign_plan
 from boresight.geometry.constants import ARCSEC
@@ -191,6 +194,8 @@ def test_every_result_shows_itself(estimate: bs.Calibration, ground: np.ndarray)
         axes = result.plot()
         assert isinstance(axes, Axes)
         assert result.plot(axes) is axes
+    checks = pd.concat([estimate.checks, vectors.checks])
+    assert checks[["p_plain", "p_value"]].stack().dropna().between(0.0, 1.0).all() and len(checks) > 9
     shown = {"stars": np.vstack([stars.xy_px, stars.misshapen_px]), "lens": lens.fit.xy_px}
     residuals = ["residual_x_arcsec", "residual_y_arcsec"]
     shown |= {"estimate": estimate.targets[residuals], "vectors": vectors.targets[residuals]}
@@ -265,6 +270,35 @@ def test_no_answer_is_false_and_says_why(ground: np.ndarray) -> None:
     assert not elsewhere
     assert elsewhere.sentence
     assert not bs.calibrate_star_camera([image])
+
+
+def test_a_template_is_found_in_transposed_arrays_at_the_transposed_place(ground: np.ndarray) -> None:
+    wide, picture = ground[60:100, 30:130], ground[40:120, 10:190] + 3.0  # wider than the picture is high
+    one, other = (
+        bs.match_template(small, large, start_px=at)
+        for small, large, at in ((wide, picture, (71.0, 38.0)), (wide.T, picture.T, (38.0, 71.0)))
+    )
+    assert one and other
+    # px: the same grey values, added up in another order
+    assert one.xy_px == pytest.approx([69.5, 39.5], abs=1e-3)
+    assert other.xy_px[::-1] == pytest.approx(one.xy_px, abs=1e-3)
+    for small, large in ((wide, ground[:80, :99]), (wide.T, ground[:99, :80])):
+        with pytest.raises(ValueError, match=r"picture: found .*, expected at least"):
+            bs.match_template(small, large, start_px=(40, 40))
+
+
+def test_dumps_are_calibrated_jointly_with_the_trend_of_their_matrices(monkeypatch) -> None:
+    requests = []
+
+    def noted(folder: Path, dumps: object, request: Any) -> None:
+        requests.append(request)
+        raise bs.DataNotSufficientError("noted")
+
+    monkeypatch.setattr(missions, "run_dumps", noted)
+    monkeypatch.setattr(missions, "open_dumps", lambda *_, **__: [Of(dump=Of(pixels=1.0))] * 2)
+    with pytest.raises(bs.DataNotSufficientError, match="noted"):
+        bs.calibrate([MINI, MINI])
+    assert [one.__name__ for one in requests[0].after_joint] == ["trend_of_dumps"]
 
 
 def test_callers_mistakes_are_named(estimate: bs.Calibration, tmp_path: Path) -> None:

@@ -32,18 +32,22 @@ from boresight.calib.information import InformationPairs
 from boresight.calib.reliability import HypothesisTest
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import LOOK_AT, TOO_SMALL, Check, CheckKind, Outcome, Verdict
+from boresight.features.exports import formats
+from boresight.features.exports.csm_isd import parameter_covariance
 from boresight.features.exports.spice_export import SpiceFrames, instrument_kernel
 from boresight.features.interior import interior_files
-from boresight.features.mission import joint_trend
+from boresight.features.mission import joint_trend, trends
 from boresight.features.mission.mounting_comparison import Comparison
 from boresight.features.mission.what_if import WhatIf
 from boresight.features.targets import target_matches
 from boresight.features.vectors import vector_result
 from boresight.geometry.constants import ARCSEC
+from boresight.geometry.epoch import Epoch
 from boresight.geometry.line_camera import Ccd, LineCamera
 from boresight.matching import Match
 from boresight.pipeline.diagnosis.input_findings import EarthTableCheck
 from boresight.pipeline.diagnosis.unused_rows import Rows
+from boresight.pipeline.results.requirement import Requirement
 from boresight.pipeline.results.sightings_tables import sightings_schema
 from boresight.pipeline.results.writing import installation_facts, write_installation
 from boresight.pipeline.run.settings import settings_from_tables
@@ -140,7 +144,9 @@ def lists_of_stars(folder: Path) -> tuple[Any, Any]:
     stars = Of(xy_px=np.array([[1.5, 9.0], [33.0, 7.25]]), cov_px=cov, flux_dn=np.array([5e3, 700.0]), **more)
     right = {"x_px": [1.5, 33.0], "y_px": [9.0, 7.25], "sigma_x_px": [0.2, 0.4], "sigma_y_px": [0.3, 0.5]}
     right |= {"cov_xy_px2": [0.01, -0.02], "flux_dn": [5e3, 700.0]} | more
-    return array_stars._stars(stars, "stars"), right
+    types = {bits: str(array_stars.stored(np.zeros((1, 1), np.uint8), bits).dtype) for bits in (8, 9, 16)}
+    right_types = {8: "uint8", 9: "uint16", 16: "uint16"}
+    return [array_stars._stars(stars, "stars"), types], [right, right_types]
 
 
 def matches(folder: Path) -> tuple[Any, Any]:
@@ -316,7 +322,51 @@ def trend(folder: Path) -> tuple[Any, Any]:
     rows |= {"sigma_arcsec": np.sqrt(np.diagonal(of_each, axis1=1, axis2=2)).ravel() / ARCSEC}
     course = table[["course_arcsec", "course_sigma_arcsec"]]
     assert np.isfinite(course).all(axis=None)  # by the model of the course: test_mounting_course.py
-    return [made, table.drop(columns=course)], [right, rows]
+    bands = [ax.collections[0].get_paths()[0] for ax in joint_trend.plot_drift(table, None, "").axes]
+    ends = [[path.vertices[:, 1].min(), path.vertices[:, 1].max()] for path in bands]
+    low, high = (course["course_arcsec"] + sign * course["course_sigma_arcsec"] for sign in (-1.0, 1.0))
+    drawn = [[low[n::3].min(), high[n::3].max()] for n in range(3)]
+    return [made, table.drop(columns=course), ends], [right, rows, drawn]
+
+
+def required(folder: Path) -> tuple[Any, Any]:
+    """The smaller of what metres and arc-seconds allow by the last result; no metres about Z."""
+    rows = [{"ground_m_per_rad": text} for text in ("[1.0, 1.0, 1.0]", "[2e6, 1e6, NaN]")]
+    asked = [Requirement(arcsec=0.4, m=3.0), Requirement(arcsec=0.4), Requirement(m=3.0), Requirement()]
+    angle = 0.4 * ARCSEC
+    right = [[1.5e-6, angle, angle], [angle] * 3, [1.5e-6, 3e-6, math.inf], None]
+    return [trends.required_rad(Of(rows=rows), one) for one in asked], right
+
+
+def exported_attitudes(folder: Path) -> tuple[Any, Any]:
+    """Attitudes of the camera, half a row before the first to half a row after the last or as far as the
+    track goes, and variances C V Cᵀ + cov theta; parameters of an ISD turn by 180 degrees about x.
+    """
+    cov, own, epoch = lopsided_covariance(3, 1e-6), lopsided_covariance(3, 3e-6), "2026-02-03T04:05:06"
+    R_si = Rotation.from_rotvec([[0.3, -0.2, 0.1], [0.31, -0.2, 0.12]])
+    track = Of(span_s=(4.5, 5.05), R_si=lambda t_s: R_si, covariance_s=lambda t_s: np.array([own, 4.0 * own]))
+    model = Of(pushbroom=Of(instants=lambda rows: 5.0 + 1e-3 * rows), strip=Of(strip_id="S", lines=100))
+    calibrated = Of(dump=Of(mission="M", epoch=Epoch.from_utc(epoch)), result=Of(R_cs=R_CS, cov_theta=cov))
+
+    def text_of(header: Any, comments: Any, utc: Any, R_ci: Rotation, variance_c: Any) -> Any:
+        t_s = [(pd.Timestamp(one) - pd.Timestamp(epoch)).total_seconds() for one in utc]
+        names = header.object_name, header.object_id, header.creation_utc
+        return {"t_s": t_s, "R_ci": R_ci.as_matrix(), "variance": variance_c, "names": names}
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(formats, "_opened", lambda request: calibrated)
+        patch.setattr(formats, "_notes", lambda request: Of(lines=lambda: []))
+        patch.setattr(formats, "_models", lambda of, strips: [Of(track=track, **vars(model))])
+        patch.setattr(formats, "_line_times", lambda of, since: [])
+        patch.setattr(formats, "_instants", lambda of, one, first, last: np.array([first, last]))
+        request: Any = Of(strips=(), creation_utc="2026-05-06T00:00:00", object_id="O")
+        made = dict(formats._message(request, "aem", text_of))
+    C, signs = R_CS.as_matrix(), np.array([1.0, -1.0, -1.0])
+    of_camera = C @ own @ C.T
+    right = {"t_s": [4.9995, 5.05], "R_ci": C @ R_si.as_matrix(), "names": ("M", "O", "2026-05-06T00:00:00")}
+    right |= {"variance": [np.diag(of_camera + cov), np.diag(4.0 * of_camera + cov)]}
+    turned = parameter_covariance(cov)["covariance"]
+    return [made, turned], [{"S.aem": right}, cov * np.outer(signs, signs)]
 
 
 def joint_trend_t_s(utc: str) -> float:
@@ -620,6 +670,8 @@ CASES: dict[str, Callable[[Path], tuple[Any, Any]]] = {
     "boresight/array_stars.py": lists_of_stars,
     "features/targets/target_matches.py": matches,
     "features/mission/joint_trend.py": trend,
+    "features/mission/trends.py": required,
+    "features/exports/formats.py": exported_attitudes,
     "features/exports/spice_export.py": fields_of_view,
     "features/interior/interior_files.py": interior,
     "pipeline/results/writing.py": installations,

@@ -36,6 +36,7 @@ def test_lines_lie_where_the_coordinate_is_the_one_that_they_are_for(axes, of):
         reached.append(path.vertices)
     assert np.ptp(np.diff(lines.levels)) < 1e-9 and np.isclose(STEPS_DEG, np.diff(lines.levels)[0]).any()
     assert 3 <= len(lines.levels) <= 10
+    assert axes.get_xlim() == (-0.5, WIDTH - 0.5) and axes.get_ylim() == (HEIGHT - 0.5, -0.5)  # the pixels
     x, y = np.concatenate(reached).T
     assert np.allclose([y.min(), y.max()], [0.0, HEIGHT - 1.0]) and 0.0 <= x.min() < x.max() < WIDTH
 

@@ -313,6 +313,18 @@ OK = {"REF_FRAME_A": "GCRF", "REF_FRAME_B": "ST_1"}
         (kvn(OK, [f"{t} {Q}" for t in TIMES], "2.0").replace("DATA_STOP", ""), "end of the file"),
         (kvn(OK, [f"{t} {Q}" for t in TIMES], "2.0").replace("DATA_START\n", ""),
             "DATA_STOP, expected DATA_START"),
+        (kvn(OK | {"QUATERNION_TYPE": "MIDDLE"}, [f"{t} {Q}" for t in TIMES], "1.0"),
+            r"line \d+, QUATERNION_TYPE: found MIDDLE, expected FIRST or LAST"),
+        *(
+            (
+                "COMMENT two segments\n" + kvn(OK, [f"{TIMES[0]} {Q}"], "2.0")
+                + kvn(OK | {key: name}, [f"{TIMES[1]} {Q}"], "2.0").partition("\n\n")[2],
+                f"REF_FRAME_A and REF_FRAME_B: found {both}, expected one head, in all",
+            )
+            for key, name, both in (
+                ("REF_FRAME_B", "ST_2", "ST_1; ST_2"), ("REF_FRAME_A", "ITRF2014", "ITRF and ST_1; ST_1")
+            )
+        ),
         ("<aem version='2.0'><body>", "XML"),
         ("<!DOCTYPE a [<!ENTITY b 'c'>]><aem>&b;</aem>", "XML"),
         ("<oem/>", "root element: found oem"),

@@ -18,6 +18,7 @@ from oem import OrbitEphemerisMessage
 
 from boresight.geometry.orbit import OrbitGapError
 from boresight.pipeline.errors import RawDataError
+from boresight.pipeline.files import ccsds_messages
 from boresight.pipeline.files.dates import n_covered
 from boresight.pipeline.files.orbit_and_earth import bundled_table, orbit_of
 from boresight.pipeline.files.orbit_file import Ephemeris, joined_segments, read_oem, read_segments
@@ -55,6 +56,8 @@ def assert_as_library(path: Path) -> None:
     expected = ((tai.jd1 - tai.jd1[0]) + (tai.jd2 - tai.jd2[0])) * 86_400.0
     # 2e-10 s: a Julian date's second part, below a day, has 1e-16 days of rounding for each operation.
     assert np.allclose(found.t_s - found.t_s[0], expected, rtol=0, atol=2e-10)
+    first_s = (tai[0] - Time("2000-01-01T12:00:00", scale="tai")).to_value("s")
+    assert found.epoch.tai_s + found.t_s[0] == pytest.approx(first_s, abs=1e-6)
     assert np.array_equal(found.positions_m, 1e3 * np.array([state.position for state in states]))
     assert np.array_equal(found.velocities_m_s, 1e3 * np.array([state.velocity for state in states]))
 
@@ -176,6 +179,8 @@ def test_xml_is_read_as_the_keyword_form_is(tmp_path: Path) -> None:
     for old, new, field in (
         ("</oem>", "", "XML"),
         ("<X>", "<X>_", "state 1, X"),
+        ("<Y>", "<Y>1.0</Y><Y>", "state 1, Y"),
+        ("<Y_DOT>", '<Y_DOT units="m/s">', "state 1, Y_DOT"),
         ("<oem", "<!DOCTYPE a [<!ENTITY b 'c'>]><oem", "XML"),
         ("oem", "opm", "root element"),
     ):
@@ -226,6 +231,18 @@ def test_segments_are_those_of_the_library_with_one_epoch(tmp_path: Path) -> Non
         assert np.array_equal(np.concatenate([one.positions_m, other.positions_m]), whole.positions_m)
         with pytest.raises(RawDataError, match="segments: found 2, expected one segment"):
             read_oem(tmp_path / name, name)
+
+
+def test_a_message_has_so_many_lines_and_segments_at_most(tmp_path: Path, monkeypatch) -> None:
+    path = written(tmp_path, two_segments(text_of(120)).replace("\n", "\r\n"))
+    lines = path.read_bytes().count(b"\r\n")
+    for name, most, found in (("MAX_LINES", lines, f"{lines} lines"), ("MAX_SEGMENTS", 2, "2 blocks")):
+        monkeypatch.setattr(ccsds_messages, name, most)
+        assert len(read_segments(path, "orbit.oem")) == 2
+        monkeypatch.setattr(ccsds_messages, name, most - 1)
+        with pytest.raises(RawDataError, match=f"found {found}, expected at most {most - 1}"):
+            read_segments(path, "orbit.oem")
+        monkeypatch.undo()
 
 
 def test_spans_are_counted_in_the_segment_that_covers_them(tmp_path: Path) -> None:

@@ -129,6 +129,9 @@ def test_centroids_stand_in_for_images(tmp_path: Path) -> None:
     assert none is None and stars is not None
     assert stars.xy_px.tolist() == [[3.0, 4.0], [10.5, 20.25]]  # brightest first
     assert np.allclose(stars.cov_px[1], [[0.0025, 0.001], [0.001, 0.0036]])
+    replaced(root / "stars.csv", "0.06,0.001,", "0.06,0.00301,")  # more than 0.05 times 0.06
+    with pytest.raises(RawDataError, match=r"line 2, sigma_x_px: found .*correlated by less than 1"):
+        open_dump(root)
 
 
 def test_a_foreign_lens_comes_back_from_its_file(tmp_path):

@@ -12,8 +12,10 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.groundlight import LightEffects
 from boresight.geometry.installation import deviation_from_theta
+from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import Dump, open_dump
+from boresight.pipeline.results.place_errors import PassErrors
 from boresight.pipeline.results.reading import SavedResult, read_saved_result
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model, whole_strip_model
 from boresight.pipeline.results.summary import validation_summary
@@ -48,9 +50,33 @@ def test_errors_on_the_ground_are_told_along_and_across_the_track(axis, along, k
     # Earth's rotation puts less than a tenth of it into the other direction.
     dump, true = known
     wrong = replace(true, R_cs=Rotation.from_euler(axis, 1e-4) * true.R_cs)
-    rms = validation_of(wrong, dump).after.rms_m
-    mine, other = rms if along else rms[::-1]
+    after = validation_of(wrong, dump).after
+    mine, other = after.rms_m if along else after.rms_m[::-1]
     assert mine > 45.0 and other < 0.15 * mine
+    x, y, z = dump.orbit.positions_e(dump.strips[0].t_first_row_s + np.array([0.0, 1.0])).T
+    east, north = np.diff(np.arctan2(y, x))[0], np.diff(np.arctanh(z / np.hypot(np.hypot(x, y), z)))[0]
+    motion = (east + 1j * north) / np.hypot(east, north)  # on Mercator's map, of which angles are true
+    turned = (after.east_m + 1j * after.north_m) / (after.along_m - 1j * after.across_m)  # to the right: -i
+    assert np.abs(turned / motion - 1.0).max() < 0.02  # the flattening of the Earth
+
+
+def test_rows_that_are_dated_late_move_places_as_the_strip_model_does(finished, known) -> None:
+    calibrated = open_calibrated(finished[1], finished[0])
+    model, dump, late_s = strip_model(calibrated, known[0].strips[0].strip_id), calibrated.dump, 1e-3
+    seen = model.pushbroom
+    rows = replace(seen.rows, t_first_row_s=seen.rows.t_first_row_s + late_s)
+    at = np.zeros(3, dtype=int), np.array([10.0, 200.0, 400.0]), np.array([50.0, 90.0, 120.0])
+    here = seen.ground_points(0, *at[1:], ConstantHeight(0.0))
+    moved = replace(seen, rows=rows).ground_points(0, *at[1:], ConstantHeight(0.0))
+    t_s = seen.instants_of_lines(at[0], at[2])
+    up = here / np.linalg.norm(here, axis=1, keepdims=True)
+    along = dump.orbit.velocities_e(t_s)
+    along -= up * np.sum(along * up, axis=1, keepdims=True)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    expected = [np.sum((moved - here) * one, axis=1) / late_s for one in (along, np.cross(along, up))]
+    errors = PassErrors.of(calibrated.result, dump, model.strip, model.track, 0.0).at(t_s, here)
+    # m/s: the rate of the attitude is that over a second; the camera's rotation alone is 580 m/s
+    assert errors.own[:, :, -2] / dump.errors.clock_s == pytest.approx(np.transpose(expected), abs=70.0)
 
 
 def with_run(true: SavedResult, **changes: object) -> SavedResult:
