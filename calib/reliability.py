@@ -428,12 +428,14 @@ def _causes(
     """
     lost = int(np.sum(one.problem.inside & (one.step.weight < 1.0)))  # rejected, or of less weight
     if lost < 2 and min(test.p_value for test in tests) * len(tests) >= PROBABILITY_FOUND:
-        return [], [], _fit(one, [], one.problem.inside & (one.step.weight > 0.0)), None
+        used = one.problem.inside & (one.step.weight > 0.0)
+        return [], [], _fit(one, [], one.solved(used.astype(float))), None
     chosen: list[int] = []
     findings: list[Finding] = []
-    n, before, strongest = len(one.table), _minimum(one, []), 0.0
+    n, before, strongest = len(one.table), _minimum(one, [], _starts(one)), 0.0
     while len(chosen) < MOST_CAUSES:
-        trials = {h: _minimum(one, [*chosen, h], before.kept) for h in _likeliest(one, chosen, before)}
+        starts = _starts(one, before.kept)
+        trials = {h: _minimum(one, [*chosen, h], starts) for h in _likeliest(one, chosen, before)}
         largest = {h: one.table[h].largest + BEYOND_SIGMAS * fit.sigma[-1] for h, fit in trials.items()}
         trials = {h: fit for h, fit in trials.items() if abs(fit.size[-1]) < largest[h]}  # sizes that can be
         gain = {h: before.criterion - fit.criterion for h, fit in trials.items()}
@@ -519,30 +521,39 @@ def _likeliest(one: _Adjustment, chosen: Sequence[int], before: _Fit) -> list[in
     return list(dict.fromkeys(found))
 
 
-def _minimum(one: _Adjustment, rows: Sequence[int], start: Bools | None = None) -> _Fit:
-    """The least criterion with the hypotheses `rows` as unknowns, searched from the observations kept, from
-    `start` and from all of them.
+def _starts(one: _Adjustment, *further: Bools) -> dict[bytes, Step]:
+    """Solutions that searches begin with, by their observations: those kept, those of any weight, all of
+    them, and `further` ones, where they are enough.
     """
+    inside, weight = one.problem.inside, one.step.weight
+    starts = (inside & (weight == 1.0), inside & (weight > 0.0), inside, *further)
+    enough = (kept for kept in starts if 2 * kept.sum() >= len(one.step.solution.theta))
+    return {kept.tobytes(): one.solved(kept.astype(float)) for kept in enough}
+
+
+def _minimum(one: _Adjustment, rows: Sequence[int], starts: Mapping[bytes, Step]) -> _Fit:
+    """The least criterion with the hypotheses `rows` as unknowns, searched from several `starts`."""
     inside = one.problem.inside
-    starts = [inside & (one.step.weight == 1.0), inside & (one.step.weight > 0.0), inside]
-    starts += [] if start is None else [start]
     best: _Fit | None = None
     tried: set[bytes] = set()
-    for kept in starts:
+    for start in starts.values():
+        kept = start.weight == 1.0
         for _ in range(MOST_ROUNDS):
             if kept.tobytes() in tried or 2 * kept.sum() < len(one.step.solution.theta) + len(rows):
                 break
             tried.add(kept.tobytes())
-            fit = _fit(one, rows, kept)
+            fit = _fit(one, rows, starts.get(kept.tobytes()) or one.solved(kept.astype(float)))
             if fit.sigma.all() and (best is None or fit.criterion < best.criterion):
                 best = fit  # without what an unknown would need, it is no explanation
             kept = inside & (fit.statistic < one.limit)
-    return best or _fit(one, rows, inside)  # none of the starts has observations enough
+    return best or _fit(
+        one, rows, one.solved(inside.astype(float))
+    )  # none of the starts has observations enough
 
 
-def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> _Fit:
-    """The solution with the observations `kept` and the hypotheses `rows` as unknowns."""
-    step = one.solved(kept.astype(float))
+def _fit(one: _Adjustment, rows: Sequence[int], step: Step) -> _Fit:
+    """A solution of weights 0 and 1 with the hypotheses `rows` as unknowns."""
+    kept = step.weight == 1.0
     rejected = one.limit * float(np.sum(one.problem.inside & ~kept))
     B = one.B[:, rows].toarray()
     left, x = respond(step, B.reshape(len(kept), 2, len(rows)))
