@@ -206,9 +206,9 @@ class _Adjustment:
     limit: float = scalar("cost of a rejected observation")
     tolerated: float = scalar("factor of true over stated standard deviations")
 
-    def solved(self, weight: Floats) -> Step:
+    def solved(self, weight: Floats | Bools) -> Step:
         """The solution with other weights (J,)."""
-        return solve_weighted(self.problem, self.step.about, weight, self.step)
+        return solve_weighted(self.problem, self.step.about, weight.astype(float), self.step)
 
     def beside(self, step: Step, chosen: Sequence[int]) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """Of every hypothesis beside a solution and the hypotheses `chosen`: information (H,) on its size,
@@ -428,8 +428,7 @@ def _causes(
     """
     lost = int(np.sum(one.problem.inside & (one.step.weight < 1.0)))  # rejected, or of less weight
     if lost < 2 and min(test.p_value for test in tests) * len(tests) >= PROBABILITY_FOUND:
-        used = one.problem.inside & (one.step.weight > 0.0)
-        return [], [], _fit(one, [], one.solved(used.astype(float))), None
+        return [], [], _fit(one, [], one.solved(one.problem.inside & (one.step.weight > 0.0))), None
     chosen: list[int] = []
     findings: list[Finding] = []
     n, before, strongest = len(one.table), _minimum(one, [], _starts(one)), 0.0
@@ -506,10 +505,10 @@ def _likeliest(one: _Adjustment, chosen: Sequence[int], before: _Fit) -> list[in
     observations in the fit, each with what weight its residual leaves it.
     """
     inside, found = one.problem.inside, list[int]()
-    plain = one.solved(before.kept.astype(float))
+    plain = one.solved(before.kept)
     statistic = np.maximum(squared_mahalanobis(plain), 1e-9)
     soft = np.where(before.kept, 1.0, np.minimum(1.0, one.limit / statistic)) * inside
-    for weight in (before.kept.astype(float), soft, inside.astype(float)):
+    for weight in (before.kept, soft, inside):
         step = one.solved(weight)
         own, given, right, _, by_theta = one.beside(step, chosen)
         seen = own > np.maximum(1e-9 * given, NO_REDUNDANCY * (own + by_theta))
@@ -522,13 +521,11 @@ def _likeliest(one: _Adjustment, chosen: Sequence[int], before: _Fit) -> list[in
 
 
 def _starts(one: _Adjustment, *further: Bools) -> dict[bytes, Step]:
-    """Solutions that searches begin with, by their observations: those kept, those of any weight, all of
-    them, and `further` ones, where they are enough.
-    """
+    """Solutions that searches begin with, by their observations: kept, of any weight, all, and `further`."""
     inside, weight = one.problem.inside, one.step.weight
     starts = (inside & (weight == 1.0), inside & (weight > 0.0), inside, *further)
     enough = (kept for kept in starts if 2 * kept.sum() >= len(one.step.solution.theta))
-    return {kept.tobytes(): one.solved(kept.astype(float)) for kept in enough}
+    return {kept.tobytes(): one.solved(kept) for kept in enough}
 
 
 def _minimum(one: _Adjustment, rows: Sequence[int], starts: Mapping[bytes, Step]) -> _Fit:
@@ -542,13 +539,11 @@ def _minimum(one: _Adjustment, rows: Sequence[int], starts: Mapping[bytes, Step]
             if kept.tobytes() in tried or 2 * kept.sum() < len(one.step.solution.theta) + len(rows):
                 break
             tried.add(kept.tobytes())
-            fit = _fit(one, rows, starts.get(kept.tobytes()) or one.solved(kept.astype(float)))
+            fit = _fit(one, rows, starts.get(kept.tobytes()) or one.solved(kept))
             if fit.sigma.all() and (best is None or fit.criterion < best.criterion):
                 best = fit  # without what an unknown would need, it is no explanation
             kept = inside & (fit.statistic < one.limit)
-    return best or _fit(
-        one, rows, one.solved(inside.astype(float))
-    )  # none of the starts has observations enough
+    return best or _fit(one, rows, one.solved(inside))  # none of the starts has observations enough
 
 
 def _fit(one: _Adjustment, rows: Sequence[int], step: Step) -> _Fit:

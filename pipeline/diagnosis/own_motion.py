@@ -262,9 +262,7 @@ def _of_head(of_head: Attitudes) -> list[Finding]:
 
 def _gains(parts: Sequence[Stretch]) -> dict[int, float]:
     """By how much the attitudes of some stretches are likelier if one of their rows says nothing, by row."""
-    return {
-        row: gain for part in parts for row, gain in zip(part.rows.tolist(), part.gains_without().tolist())
-    }
+    return {row: gain for one in parts for row, gain in zip(one.rows.tolist(), one.gains_without().tolist())}
 
 
 def _limit(of_head: Attitudes) -> float:
