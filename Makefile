@@ -40,9 +40,12 @@ types: install
 test: lint
 	$(MAKE) --jobs 2 types suite
 
+# Files with tests that `-m timed` chooses: no other need be imported for them.
+TIMED = $(shell grep -rl 'mark\.timed' tests --include='*.py')
+
 suite: install
 	$(BIN)/pytest -n 2 --dist worksteal -m "not timed"  # neighbours share a process, and their module's fixtures
-	$(BIN)/pytest -m timed  # ratios of CPU times, with nothing beside that takes caches and clock
+	$(BIN)/pytest -m timed $(TIMED)  # ratios of CPU times, with nothing beside that takes caches and clock
 
 # All recorded answers of real star images, before a change of star_id is finished; `make suite` asks for a third.
 answers: install

@@ -186,9 +186,9 @@ class _Adjustment:
     limit: float = scalar("cost of a rejected observation")
     tolerated: float = scalar("factor of true over stated standard deviations")
 
-    def solved(self, weight: Floats) -> joint_solution.Step:
+    def solved(self, weight: Floats | Bools) -> joint_solution.Step:
         """The solution with other weights (J,)."""
-        return joint_solution.solve_weighted(self.problem, self.step.about, weight, self.step)
+        return joint_solution.solve_weighted(self.problem, self.step.about, weight.astype(float), self.step)
 
     def beside(
         self, step: joint_solution.Step, chosen: Sequence[int]
@@ -412,12 +412,13 @@ def _causes(
     """
     lost = int(np.sum(one.problem.inside & (one.step.weight < 1.0)))  # rejected, or of less weight
     if lost < 2 and min(test.p_value for test in tests) * len(tests) >= PROBABILITY_FOUND:
-        return [], [], _fit(one, [], one.problem.inside & (one.step.weight > 0.0)), None
+        return [], [], _fit(one, [], one.solved(one.problem.inside & (one.step.weight > 0.0))), None
     chosen: list[int] = []
     findings: list[Finding] = []
-    n, before, strongest = len(one.table), _minimum(one, []), 0.0
+    n, before, strongest = len(one.table), _minimum(one, [], _starts(one)), 0.0
     while len(chosen) < MOST_CAUSES:
-        trials = {h: _minimum(one, [*chosen, h], before.kept) for h in _likeliest(one, chosen, before)}
+        starts = _starts(one, before.kept)
+        trials = {h: _minimum(one, [*chosen, h], starts) for h in _likeliest(one, chosen, before)}
         largest = {h: one.table[h].largest + BEYOND_SIGMAS * fit.sigma[-1] for h, fit in trials.items()}
         trials = {h: fit for h, fit in trials.items() if abs(fit.size[-1]) < largest[h]}  # sizes that can be
         gain = {h: before.criterion - fit.criterion for h, fit in trials.items()}
@@ -488,10 +489,10 @@ def _likeliest(one: _Adjustment, chosen: Sequence[int], before: _Fit) -> list[in
     observations in the fit, each with what weight its residual leaves it.
     """
     inside, found = one.problem.inside, list[int]()
-    plain = one.solved(before.kept.astype(float))
+    plain = one.solved(before.kept)
     statistic = np.maximum(joint_solution.squared_mahalanobis(plain), 1e-9)
     soft = np.where(before.kept, 1.0, np.minimum(1.0, one.limit / statistic)) * inside
-    for weight in (before.kept.astype(float), soft, inside.astype(float)):
+    for weight in (before.kept, soft, inside):
         step = one.solved(weight)
         own, given, right, _, by_theta = one.beside(step, chosen)
         seen = own > np.maximum(1e-9 * given, NO_REDUNDANCY * (own + by_theta))
@@ -503,30 +504,35 @@ def _likeliest(one: _Adjustment, chosen: Sequence[int], before: _Fit) -> list[in
     return list(dict.fromkeys(found))
 
 
-def _minimum(one: _Adjustment, rows: Sequence[int], start: Bools | None = None) -> _Fit:
-    """The least criterion with the hypotheses `rows` as unknowns, searched from the observations kept, from
-    `start` and from all of them.
-    """
+def _starts(one: _Adjustment, *further: Bools) -> dict[bytes, joint_solution.Step]:
+    """Solutions that searches begin with, by their observations: kept, of any weight, all, and `further`."""
+    inside, weight = one.problem.inside, one.step.weight
+    starts = (inside & (weight == 1.0), inside & (weight > 0.0), inside, *further)
+    enough = (kept for kept in starts if 2 * kept.sum() >= len(one.step.solution.theta))
+    return {kept.tobytes(): one.solved(kept) for kept in enough}
+
+
+def _minimum(one: _Adjustment, rows: Sequence[int], starts: Mapping[bytes, joint_solution.Step]) -> _Fit:
+    """The least criterion with the hypotheses `rows` as unknowns, searched from several `starts`."""
     inside = one.problem.inside
-    starts = [inside & (one.step.weight == 1.0), inside & (one.step.weight > 0.0), inside]
-    starts += [] if start is None else [start]
     best: _Fit | None = None
     tried: set[bytes] = set()
-    for kept in starts:
+    for start in starts.values():
+        kept = start.weight == 1.0
         for _ in range(MOST_ROUNDS):
             if kept.tobytes() in tried or 2 * kept.sum() < len(one.step.solution.theta) + len(rows):
                 break
             tried.add(kept.tobytes())
-            fit = _fit(one, rows, kept)
+            fit = _fit(one, rows, starts.get(kept.tobytes()) or one.solved(kept))
             if fit.sigma.all() and (best is None or fit.criterion < best.criterion):
                 best = fit  # without what an unknown would need, it is no explanation
             kept = inside & (fit.statistic < one.limit)
-    return best or _fit(one, rows, inside)  # none of the starts has observations enough
+    return best or _fit(one, rows, one.solved(inside))  # none of the starts has observations enough
 
 
-def _fit(one: _Adjustment, rows: Sequence[int], kept: Bools) -> _Fit:
-    """The solution with the observations `kept` and the hypotheses `rows` as unknowns."""
-    step = one.solved(kept.astype(float))
+def _fit(one: _Adjustment, rows: Sequence[int], step: joint_solution.Step) -> _Fit:
+    """A solution of weights 0 and 1 with the hypotheses `rows` as unknowns."""
+    kept = step.weight == 1.0
     rejected = one.limit * float(np.sum(one.problem.inside & ~kept))
     B = one.B[:, rows].toarray()
     left, x = joint_solution.respond(step, B.reshape(len(kept), 2, len(rows)))

@@ -114,14 +114,15 @@ def stated_motion(settings: CalibrationSettings) -> SlowMotion:
 
 
 def motion_modes(noise: Floats, shapes: Floats, trend: Floats) -> tuple[Floats, Floats]:
-    """Of turns (K,) about one axis with the covariance noise (K, K) plus a² times one of the shapes
-    (S, K, K), without what the trend (K, D) takes up: variances (S, M) by the shape, and the independent
-    modes (S, M, K) of unit variance by noise, M = K - D.
+    """Of turns (K,) about each axis with the covariance noise (..., K, K) plus a² times one of the shapes
+    (..., S, K, K), without what the trend (K, D) takes up: variances (..., S, M) by the shape, and the
+    independent modes (..., S, M, K) of unit variance by noise, M = K - D.
     """
     rest = np.linalg.qr(trend, mode="complete")[0][:, trend.shape[1] :].T
-    white = np.linalg.solve(np.linalg.cholesky(rest @ noise @ rest.T), rest)
-    variance, vectors = np.linalg.eigh(white @ shapes @ white.T)
-    return np.maximum(variance, 0.0), np.swapaxes(vectors, 1, 2) @ white
+    root = np.linalg.cholesky(rest @ noise @ rest.T)
+    white = np.linalg.solve(root, np.broadcast_to(rest, (*noise.shape[:-2], *rest.shape)))[..., None, :, :]
+    variance, vectors = np.linalg.eigh(white @ shapes @ np.swapaxes(white, -1, -2))
+    return np.maximum(variance, 0.0), np.swapaxes(vectors, -1, -2) @ white
 
 
 def _nodes_of(strip: StripSightings) -> tuple[InterpolationNodes, Floats]:

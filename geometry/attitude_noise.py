@@ -125,8 +125,8 @@ class AttitudeNoise:
         decay = np.exp(-apart[:, :, None] / self.correlation_time_s)
         of_axes = self.correlated_rad**2 * decay + self.constant_rad**2  # (K, K, 3)
         R, waves = self.R_sn.as_matrix(), self.waves_s(t_s)
-        periodic = np.einsum("lkn,mbn->lkmb", waves, waves, optimize=True)
-        return np.einsum("ka,lma,ba->lkmb", R, of_axes, R, optimize=True) + periodic
+        of_pairs = np.swapaxes(np.tensordot(of_axes, R[:, None] * R, axes=(2, 2)), 1, 2)
+        return np.asarray(np.tensordot(waves, waves, axes=(2, 2)) + of_pairs, dtype=np.float64)
 
 
 # Attitudes without any noise: white, correlated or constant.

@@ -17,7 +17,6 @@ from pathlib import Path
 
 import pytest
 from captured import wide_rows
-from command_line import ran
 from fixture_strips import strip_of_fixture
 from handmade import write_handmade_dump
 from outside import DEMO, ROOT, run
@@ -105,6 +104,7 @@ def demo(made_once) -> Path:
     """Folder outside the repository with `fixtures/mini`, its truth not among it, `demo-result`, which the
     command has made from it, and `printed`, what it printed. Read only.
     """
+    from command_line import ran  # loads all features, which the process that hands out tests never needs
 
     def fill(folder: Path) -> None:
         shutil.copytree(
@@ -144,6 +144,7 @@ def one_strip(tmp_path: Path) -> Path:
 @pytest.fixture(scope="session")
 def finished(made_once) -> tuple[Path, Path]:
     """One strip of the fixture, carried through by the command itself: the dump and its result. Read only."""
+    from command_line import ran
 
     def fill(folder: Path) -> None:
         dump = strip_of_fixture(folder / "dump", 1)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import field, replace
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -204,8 +205,9 @@ def forecast_plan(plan: Plan, target_arcsec: float | None = None) -> PlanForecas
     """Predicted 1-sigma of theta by number of strips; `DataNotSufficientError` if it fails."""
     try:
         campaign, cameras = _campaign(plan)
+        forecast = cache(partial(forecast_of_plan, cameras=cameras, draws=PLAN_DRAWS))
         with np.errstate(over="raise", invalid="raise"):
-            found = forecast_of_plan(campaign, cameras)
+            found = forecast(campaign)
     except (ValueError, ArithmeticError) as error:
         raise DataNotSufficientError(f"this campaign cannot be forecast: {error}") from error
     counts = np.unique(np.append(np.geomspace(1, 1000, 31).astype(int), plan.strips.count))
@@ -218,8 +220,8 @@ def forecast_plan(plan: Plan, target_arcsec: float | None = None) -> PlanForecas
     table = pd.DataFrame(rows, columns=["strips", "axis", "sigma_arcsec", "floor_arcsec"])
     needed = None if target_arcsec is None else found.strips_for(target_arcsec * ARCSEC)
     targets = {n: replace(campaign, targets=n) for n in TARGET_COUNTS}
-    by_targets = _sigmas(plan, "targets", targets, cameras, DRAWS)
-    without = _sigmas(plan, "source", _without(campaign), cameras, PLAN_DRAWS)
+    by_targets = _sigmas(plan, "targets", targets, partial(forecast_of_plan, cameras=cameras, draws=DRAWS))
+    without = _sigmas(plan, "source", _without(campaign), forecast)
     campaigns = _campaigns(plan, campaign, cameras)
     lines = [
         _text(plan, found, target_arcsec, needed),
@@ -278,15 +280,13 @@ def _without(campaign: StripPlan) -> dict[str, StripPlan]:
 
 
 def _sigmas(
-    plan: Plan, name: str, campaigns: Mapping[Any, StripPlan], cameras: CameraPair, draws: int
+    plan: Plan, name: str, campaigns: Mapping[Any, StripPlan], forecast: Callable[[StripPlan], Forecast]
 ) -> pd.DataFrame:
-    """1-sigma after the plan's strips of variants of a campaign, each from so many example strips; NaN where
-    an axis is not observable.
-    """
+    """1-sigma after the plan's strips of variants of a campaign; NaN where an axis is not observable."""
     rows = []
     for key, campaign in campaigns.items():
         try:
-            sigma = forecast_of_plan(campaign, cameras, draws=draws).sigma(plan.strips.count) / ARCSEC
+            sigma = forecast(campaign).sigma(plan.strips.count) / ARCSEC
         except (ValueError, ArithmeticError):
             sigma = np.full(3, np.nan)
         rows += [(key, axis, value) for axis, value in zip("XYZ", sigma)]

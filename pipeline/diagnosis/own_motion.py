@@ -234,17 +234,18 @@ def _are_apart(one: Attitudes, other: Attitudes) -> bool:
 
 def _of_head(of_head: Attitudes) -> list[Finding]:
     every = np.arange(len(of_head.t_s))
-    told = _excess(of_head, every) or _uneven(of_head)
+    parts = of_head.stretches(every)
+    told = _excess(of_head, parts) or _uneven(of_head, parts)
     if told and told[0].unit != OF_TIMES.unit and of_head.is_misfit:
         return []
-    if told is None and max(_gains(of_head, every).values(), default=-1.0) < 0.0:
+    if told is None and max(_gains(parts).values(), default=-1.0) < 0.0:
         return []  # no row whose absence would gain; of two that are wrong one hides the other in part
-    groups, in_order, gained = _exchanged(of_head)
+    groups, in_order, gained = _exchanged(of_head, parts)
     alone, gain = _alone(in_order)
-    more = _excess(in_order, np.setdiff1d(every, alone))
+    more = _excess(in_order, in_order.stretches(np.setdiff1d(every, alone)))
     if groups and (more or gained + gain < _alone(of_head)[1] + CERTAIN):  # another order explains no more
         groups, in_order, gained, (alone, gain) = [], of_head, 0.0, _alone(of_head)
-        more = _excess(of_head, np.setdiff1d(every, alone))
+        more = _excess(of_head, of_head.stretches(np.setdiff1d(every, alone)))
     price = 2.0 * CERTAIN * sum(len(group) - 1 for group in groups)  # some pair nearly fits by chance
     if told and told[1] > gained + gain - price:
         return [told[0]]
@@ -259,13 +260,9 @@ def _of_head(of_head: Attitudes) -> list[Finding]:
 # --- Single rows
 
 
-def _gains(of_head: Attitudes, rows: Ints) -> dict[int, float]:
-    """By how much the attitudes of some rows are likelier if one of them says nothing, by row."""
-    return {
-        row: gain
-        for part in of_head.stretches(rows)
-        for row, gain in zip(part.rows.tolist(), part.gains_without().tolist())
-    }
+def _gains(parts: Sequence[Stretch]) -> dict[int, float]:
+    """By how much the attitudes of some stretches are likelier if one of their rows says nothing, by row."""
+    return {row: gain for one in parts for row, gain in zip(one.rows.tolist(), one.gains_without().tolist())}
 
 
 def _limit(of_head: Attitudes) -> float:
@@ -276,7 +273,7 @@ def _limit(of_head: Attitudes) -> float:
 def _one_by_one(of_head: Attitudes) -> list[tuple[int, float]]:
     """Rows left out one after another, those first without which the others are likeliest, and the gains."""
     left, taken = np.arange(len(of_head.t_s)), list[tuple[int, float]]()
-    while len(taken) < MOST_ALONE and (gains := _gains(of_head, left)):
+    while len(taken) < MOST_ALONE and (gains := _gains(of_head.stretches(left))):
         row = max(gains, key=lambda row: gains[row])
         taken.append((row, gains[row]))
         left = np.setdiff1d(left, [row])
@@ -296,23 +293,23 @@ def _alone(of_head: Attitudes) -> tuple[list[int], float]:
     alone = [row for row, _ in taken[:n]]
     for row in tuple(alone):
         without = [one for one in alone if one != row]
-        if _gains(of_head, np.setdiff1d(every, without)).get(row, np.inf) < _limit(of_head):
+        if _gains(of_head.stretches(np.setdiff1d(every, without))).get(row, np.inf) < _limit(of_head):
             alone = without
     return sorted(alone), float(gained[n])
 
 
-def _exchanged(of_head: Attitudes) -> tuple[list[list[int]], Attitudes, float]:
+def _exchanged(of_head: Attitudes, parts: Sequence[Stretch]) -> tuple[list[list[int]], Attitudes, float]:
     """Groups of rows that fit in each other's place, the attitudes with these put right, and by how much they
     are likelier; of the pairs that do not fit, the best is exchanged, again and again.
     """
     order: Ints = np.arange(len(of_head.t_s))
     gained = 0.0
-    gains = {} if of_head.is_solved else _gains(of_head, order)
+    gains = {} if of_head.is_solved else _gains(parts)
     doubtful = sorted(sorted(gains, key=lambda row: -gains[row])[:MOST_ALONE])
-    now = _likelihood(of_head, order)
+    now = _likelihood(parts)
     while True:
         orders = [_exchange(order, pair) for pair in combinations(doubtful, 2)]
-        fits = [_likelihood(_in_order(of_head, one), np.arange(len(one))) for one in orders]
+        fits = [_likelihood(_in_order(of_head, one).stretches(np.arange(len(one)))) for one in orders]
         best = max(range(len(fits)), key=lambda n: fits[n], default=-1)
         if best < 0 or fits[best] - now < _limit(of_head):
             return _cycles(order), _in_order(of_head, order), gained
@@ -336,9 +333,9 @@ def _cycles(order: Ints) -> list[list[int]]:
     return [rows for k in range(n) if len(rows := np.flatnonzero(group == k).tolist()) > 1]
 
 
-def _likelihood(of_head: Attitudes, rows: Ints) -> float:
-    """Logarithm, of some rows with errors as stated."""
-    return float(sum(part.log_likelihoods(FACTORS[:1]).sum() for part in of_head.stretches(rows)))
+def _likelihood(parts: Sequence[Stretch]) -> float:
+    """Logarithm, of some stretches with errors as stated."""
+    return float(sum(part.log_likelihoods(FACTORS[:1]).sum() for part in parts))
 
 
 def _off(of_head: Attitudes, row: int, rows: Ints) -> float:
@@ -354,9 +351,8 @@ def _off(of_head: Attitudes, row: int, rows: Ints) -> float:
 # --- All rows
 
 
-def _excess(of_head: Attitudes, rows: Ints) -> tuple[Finding, float] | None:
+def _excess(of_head: Attitudes, parts: Sequence[Stretch]) -> tuple[Finding, float] | None:
     """The finding about errors beyond the stated ones, and by how much attitudes are likelier with them."""
-    parts = of_head.stretches(rows)
     if not parts:
         return None
     likelihoods = [part.log_likelihoods() for part in parts]
@@ -392,19 +388,19 @@ def _excess(of_head: Attitudes, rows: Ints) -> tuple[Finding, float] | None:
     return replace(told, text=text, rivals=tuple(f"{cause}, {told.item}" for cause in rivals)), gains[best]
 
 
-def _uneven(of_head: Attitudes) -> tuple[Finding, float] | None:
+def _uneven(of_head: Attitudes, parts: Sequence[Stretch]) -> tuple[Finding, float] | None:
     """The finding about instants with which the attitudes are far less likely than with evenly spaced ones:
     a few rows that are as uneven as their times could be a motion, but not one that even times undo.
     """
     t_s, rows, found = of_head.t_s, np.arange(len(of_head.t_s)), [(0.0, 0.0)]
     if not len(t_s):
         return None
-    now = _likelihood(of_head, rows)
-    for even in _even_instants(of_head):
+    now = _likelihood(parts)
+    for even in _even_instants(t_s, parts):
         off = np.abs(even - t_s)
         off_s = float(np.sqrt(np.mean(off**2)))
         if off_s > LEAST_UNEVEN_S and np.mean(off > 0.3 * off.max()) > LEAST_SHARE:  # not single rows
-            found.append((_likelihood(replace(of_head, t_s=even), rows) - now, off_s))
+            found.append((_likelihood(replace(of_head, t_s=even).stretches(rows)) - now, off_s))
     gain, off_s = max(found)
     if gain < _limit(of_head):
         return None
@@ -414,10 +410,10 @@ def _uneven(of_head: Attitudes) -> tuple[Finding, float] | None:
     return _of_all(of_head, "times of {}", text, 1e3 * off_s, "ms"), gain
 
 
-def _even_instants(of_head: Attitudes) -> list[Floats]:
+def _even_instants(t_s: Floats, parts: Sequence[Stretch]) -> list[Floats]:
     """Evenly spaced instants (K,) along every stretch: with rows missing in long steps, and with none."""
-    found = [of_head.t_s.copy(), of_head.t_s.copy()]
-    for part in of_head.stretches(np.arange(len(of_head.t_s))):
+    found = [t_s.copy(), t_s.copy()]
+    for part in parts:
         steps = np.diff(part.t_s)
         for even, of_steps in zip(found, (np.maximum(np.round(steps / np.median(steps)), 1.0), steps**0.0)):
             number = np.concatenate([[0.0], np.cumsum(of_steps)])

@@ -40,7 +40,8 @@ class Stretch:
 
     rows: Ints = array("K", "rows of the record")
     turns: Floats = array("K, 3", "attitudes less a rotation at constant rate, rad")
-    noise: Floats = array("3, K, K", "stated covariance of the errors, rad²")
+    variance: Floats = array("3, S, M", "of the modes, about each axis, by each shape of the motion")
+    modes: Floats = array("3, S, M, K", "that are independent, of unit variance by the stated errors")
     rate: Floats = array("3", "by which attitudes of a later instant are turned, rad/s")
     t_s: Floats = array("K", "instants, TAI seconds since the epoch")
     own: Floats = array("3", "1-sigma of the error of a row by itself, rad")
@@ -51,22 +52,13 @@ class Stretch:
         """Sizes (A,) of the motion, in stated errors: all, or zero alone where a gyro tells it."""
         return np.zeros(1) if self.by_gyro else SIZES
 
-    def _modes(self) -> Iterator[tuple[Floats, Floats]]:
-        """Of each axis (`motion_modes`)."""
-        t = (self.t_s - self.t_s.mean()) / float(np.median(np.diff(self.t_s)))
-        lag, ahead = np.abs(t[:, None] - t), np.minimum(t[:, None], t) - t[0]
-        shapes = [np.exp(-0.5 * (lag / steps) ** 2) for steps in SMOOTH_STEPS]
-        shapes.append(ahead**2 * (ahead / 3.0 + lag / 2.0))
-        for noise, own in zip(self.noise, self.own):
-            yield motion_modes(noise, own**2 * np.array(shapes), np.vander(t, 3))
-
     def log_likelihoods(self, factors: Floats = FACTORS) -> Floats:
         """(3, F) about each axis with errors larger by each of the factors, the motion as fits best."""
         return np.array([fit.max(axis=(1, 2)) for fit in self._fits(self.sizes, factors)])
 
     def _fits(self, sizes: Floats, factors: Floats = FACTORS) -> Iterator[Floats]:
         """Of each axis the logarithm of the likelihood (F, A, S) by factors, sizes (A,) and shapes."""
-        for (variance, modes), y in zip(self._modes(), self.turns.T):
+        for variance, modes, y in zip(self.variance, self.modes, self.turns.T):
             of_mode = factors[:, None, None, None] ** 2 + sizes[:, None, None] ** 2 * variance
             yield -0.5 * (np.log(of_mode) + (modes @ y) ** 2 / of_mode).sum(axis=3)
 
@@ -80,7 +72,7 @@ class Stretch:
     def gains_without(self) -> Floats:
         """(K,) by how much the attitudes are likelier, as a logarithm, if one row says nothing."""
         gains = np.zeros(len(self.t_s))
-        for (variance, modes), y, own in zip(self._modes(), self.turns.T, self.own):
+        for variance, modes, y, own in zip(self.variance, self.modes, self.turns.T, self.own):
             of_mode = 1.0 + self.sizes[:, None, None] ** 2 * variance  # (A, S, M)
             z = modes @ y
             fit = -0.5 * (np.log(of_mode) + z**2 / of_mode).sum(axis=2)
@@ -96,7 +88,8 @@ class Stretch:
         estimate (K,), 1/s; the motion is that of errors of the instants of 1-sigma `spread_s`.
         """
         at, z = np.zeros(len(self.t_s)), np.zeros((len(self.t_s),) * 2)
-        for (variance, modes), y, own, rate in zip(self._modes(), self.turns.T, self.own, self.rate):
+        of_axes = zip(self.variance, self.modes, self.turns.T, self.own, self.rate)
+        for variance, modes, y, own, rate in of_axes:
             factor = 1.0 + (spread_s * rate / own) ** 2
             of_mode = factor + self.sizes[:, None, None] ** 2 * variance
             fit = -0.5 * (np.log(of_mode) + (modes @ y) ** 2 / of_mode).sum(axis=2)
@@ -125,17 +118,29 @@ def stretches(
         motion = ConstantRate.fitted(t, R)
         turned, middle, each = gyro and gyro.turned(t), len(t) // 2, np.arange(len(t))
         D = R * (turned * turned[middle].inv() * R[middle] if turned else motion.R_oi(t)).inv()
-        variance, axes = np.linalg.eigh(own.mean(axis=0))
+        by_itself, axes = np.linalg.eigh(own.mean(axis=0))
         full = noise.coloured_covariance_s(t) if noise else np.zeros((len(t), 3, len(t), 3))
         full[each, :, each, :] += own
         if gyro and turned:
             full += gyro.noise.covariance(t)[:, None, :, None] * np.eye(3)[:, None, :]
+        steps = (t - t.mean()) / float(np.median(np.diff(t)))
+        stated = np.einsum("ax,kalx->xkl", axes, full @ axes)
+        shapes = np.multiply.outer(by_itself, _shapes(steps))
+        variance, modes = motion_modes(stated, shapes, np.vander(steps, 3))
         yield Stretch(
             rows=here,
             turns=(D * D[middle].inv()).as_rotvec() @ axes,
-            noise=np.einsum("ax,kalb,bx->xkl", axes, full, axes),
+            variance=variance,
+            modes=modes,
             rate=-motion.omega_o @ axes,
             t_s=t,
-            own=np.sqrt(variance),
+            own=np.sqrt(by_itself),
             by_gyro=bool(turned),
         )
+
+
+def _shapes(t: Floats) -> Floats:
+    """Covariances (S, K, K) of motions of unit size at instants (K,) in steps from row to row."""
+    lag, ahead = np.abs(t[:, None] - t), np.minimum(t[:, None], t) - t[0]
+    smooth = (np.exp(-0.5 * (lag / steps) ** 2) for steps in SMOOTH_STEPS)
+    return np.array([*smooth, ahead**2 * (ahead / 3.0 + lag / 2.0)])
