@@ -4,8 +4,9 @@ Before anything else is looked at, the attitudes of every head are held against 
 make (`diagnosis.stretches`). Where they are likelier with larger errors than stated, the proportion of
 these from axis to axis tells the cause: errors of the instants, errors of all axes alike, or the stated ones
 several times. Single rows that do not fit are reported singly, as exchanged where two of them fit in each
-other's place, and as shifted where all fit at the times of other rows. A slow error, or a lag of all rows, is motion too: others tell of it. Where a gyro covers the
-rows, that is the motion, and what else is smooth contradicts it: a lag of the attitudes, or a wrong gyro.
+other's place, and as shifted where all fit at the times of other rows. A slow error, or a lag of all rows, is
+motion too: others tell of it. Where a gyro covers the rows, that is the motion, and what else is smooth
+contradicts it: a lag of the attitudes, or a wrong gyro.
 """
 
 from __future__ import annotations

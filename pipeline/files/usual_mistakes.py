@@ -211,9 +211,7 @@ def _frame_fault(t: Floats, p: Floats, v: Floats, frame: str) -> OrbitFinding | 
     return OrbitFinding(fault=best, state=0, size=misfit[None], factor=1.0)
 
 
-def _jump(
-    by_positions: Floats, by_velocities: Floats, usual: Bools, compared: Bools
-) -> OrbitFinding | None:
+def _jump(by_positions: Floats, by_velocities: Floats, usual: Bools, compared: Bools) -> OrbitFinding | None:
     """The largest difference of a step from its velocities beyond the scatter of the `usual` ones: times that
     jump by a step make a gap.
     """
