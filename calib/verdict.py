@@ -36,6 +36,7 @@ __all__ = ["Check", "CheckKind", "Outcome", "Suspect", "Verdict", "VerdictSettin
 SAME_PLACE_M = 0.05  # two surveyed targets are never nearer; rounding of coordinates is far smaller
 LARGER, PROBABILITY_LARGER = 1.2, 1e-3  # residuals over the stated, and by chance, from which that is said
 FEWEST_DOF = 5  # of the targets' residuals: with four targets any one of them is checked by the others
+ALIKE_SIGMAS = 5.0  # between what two heads leave of the rest, within which either may be the wrong one
 NEARLY_SAME_PLACE_M = 10.0  # candidates: along a straight path of the satellite instead of its curved one
 
 
@@ -423,7 +424,7 @@ def _explained(F: Floats, right: Floats, prior: Floats) -> tuple[float, int]:
 
 def _between_heads(agreement: HeadAgreement, checks: _Checks) -> list[Check]:
     """Differences between heads' attitudes, over all rows and from strip to strip; a check that fails names
-    the head without which the rest agrees best.
+    the head without which the rest agrees best, then those without which it agrees as well.
     """
     found = []
     if agreement.dof > 0:
@@ -432,8 +433,10 @@ def _between_heads(agreement: HeadAgreement, checks: _Checks) -> list[Check]:
         found.append(checks.too_large(CheckKind.STEADY_HEADS, agreement.gain, agreement.dof_gain))
     if not agreement.without:
         return found
-    name = min(agreement.without, key=_excess).head or "reference head"
-    return [replace(check, names=((name,),)) if check.fails else check for check in found]
+    heads = sorted(agreement.without, key=_excess)
+    alike = [one for one in heads if _excess(one) < _excess(heads[0]) + ALIKE_SIGMAS]
+    names = tuple((one.head or "reference head",) for one in alike)
+    return [replace(check, names=names) if check.fails else check for check in found]
 
 
 def _excess(one: WithoutHead) -> float:
@@ -453,10 +456,16 @@ def _head_findings(checks: Sequence[Check]) -> Iterator[Finding]:
     it turns whole strips, which any hypothesis about them then explains in part.
     """
     for check in sorted((one for one in checks if one.names), key=lambda one: one.p_value)[:1]:
-        head, where = Subject(Kind.HEAD, head=check.names[0][0]), ("dump.toml", "star_cameras")
-        text = f"contradict the other heads, χ² {check.statistic:.3g} for {check.expected:.0f}: check its "
-        text += "file, rotation label, clock, aberration and noise in dump.toml, and its mounting."
-        yield Finding.about("attitudes of a head", head, text, *where, refutes=True, p_value=check.p_value)
+        head, *others = [Subject(Kind.HEAD, head=name) for (name,) in check.names]
+        cause, where = "attitudes of a head", ("dump.toml", "star_cameras")
+        text = (
+            f"contradict the other heads, χ² {check.statistic:.3g} for {check.expected:.0f}: check its file, "
+        )
+        text += "rotation label, clock, aberration, noise and mounting in dump.toml"
+        text += "".join(f"; or {other.words}" for other in others[:1])
+        rivals = tuple(f"{cause}, {other.words}" for other in others)
+        one = Finding.about(cause, head, f"{text}.", *where, refutes=True, p_value=check.p_value)
+        yield replace(one, rivals=rivals)
 
 
 def _orbit_bias(estimate: InstallationEstimate, checks: _Checks) -> list[Check]:

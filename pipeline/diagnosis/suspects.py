@@ -258,8 +258,8 @@ def _of_groups(groups: Mapping[Subject, Sequence[Subject]], *, of_points: bool) 
         whose = "their" if several else "its"
         text = f"{n} of {whose} targets contradict the rest: check {first}; or {second}."
     elif strip_id:
-        cause, item, field = "coordinates or chips", f"{n} targets in strip {strip_id}", ""
-        check = file if of_points else f"{file} and the chips"
+        cause, item, field = "coordinates, chips or times", f"{n} targets in strip {strip_id}", ""
+        check = f"{file}{'' if of_points else ', the chips'}, utc_first_row in strips.csv"
         text = f"{list_words([target.id for target in those])} {unexplained} {check}."
     else:
         cause, item, field = "look directions or coordinates", f"{n} targets of all strips", ""
