@@ -24,7 +24,7 @@ __all__ = ["MeasuredTargets", "single_targets"]
 
 FEWEST = 3  # targets that make a pattern
 ALIKE_SIGMAS = 5.0  # of a target, within which those of a part of a strip, or of several CCDs, are off alike
-MOSTLY = 0.7  # of all that are off, or of those in a strip, that are off alike
+MOSTLY = 0.7  # of a group, that are off alike
 SUSPECT_SHARE = 0.05  # of good data with wrong coordinates or chips; only compares groups
 # Log likelihood that a share of suspected targets of its own must gain a group, to be one (set by hand).
 GROUP_PENALTY = 3.0
@@ -84,24 +84,27 @@ def single_targets(
     *,
     is_explained: bool = False,
 ) -> Iterator[Finding]:
-    """A finding for each target of the ground that is off, for those of a part of a strip or of several CCDs
-    that are off alike and, where more than three of a strip, of a CCD or of a CCD in one strip are, for that
-    group; none for groups where a common cause is found already. The ledger holds all targets in view.
+    """A finding for each target of the ground that is off, for those of a part of a strip that are off alike
+    and, where more than three of a strip, of a CCD or of a CCD in one strip are, for that group, or for those
+    of several CCDs that are off alike; none for groups where a common cause is found already. The ledger
+    holds all targets in view.
     """
     rest = [suspect for suspect in suspects if suspect.subject in measured.xy_px]
-    for pattern, told in ((_stretches, _of_stretch), (_displaced_alike, _of_displaced)):
-        for alike in pattern(rest, measured):
-            yield told(alike, measured)
-            rest = [suspect for suspect in rest if suspect not in alike]
-    found: dict[tuple[str, bool], dict[Subject, list[Subject]]] = defaultdict(dict)
+    for alike in _stretches(rest, measured):
+        yield _of_stretch(alike, measured)
+        rest = [suspect for suspect in rest if suspect not in alike]
+    found: dict[tuple[str, bool], dict[Subject, list[Contradiction]]] = defaultdict(dict)
     for group in _groups([suspect.subject for suspect in rest], ledger):
-        those = [suspect.subject for suspect in rest if _holds(group, suspect.subject)]
+        found[group.strip, group.ccd >= 0][group] = [one for one in rest if _holds(group, one.subject)]
         rest = [suspect for suspect in rest if not _holds(group, suspect.subject)]
-        found[group.strip, group.ccd >= 0][group] = those
-    if not is_explained:
-        for groups in found.values():
-            first = next(iter(groups.values()))[0]
-            yield _of_groups(groups, of_points=measured.is_point(first))
+    for groups in () if is_explained else found.values():
+        every = [one for those in groups.values() for one in those]
+        alike = [one for one, is_near in zip(every, _near_middle(every, measured).tolist()) if is_near]
+        if len(alike) > MOSTLY * len(every) and len({one.subject.ccd for one in alike}) > 1:
+            yield _of_displaced(alike, measured)
+        else:
+            subjects = {group: [one.subject for one in those] for group, those in groups.items()}
+            yield _of_groups(subjects, of_points=measured.is_point(every[0].subject))
     of_target: dict[str, list[Contradiction]] = defaultdict(list)
     for suspect in rest:
         of_target[suspect.subject.id].append(suspect)
@@ -121,23 +124,6 @@ def _stretches(suspects: Sequence[Contradiction], measured: MeasuredTargets) -> 
                 continue
             if _near_middle(those, measured).all():
                 yield those
-
-
-def _displaced_alike(
-    suspects: Sequence[Contradiction], measured: MeasuredTargets
-) -> Iterator[list[Contradiction]]:
-    """Most of those of all strips, else of single ones, more than three and of several CCDs, that are off
-    alike on the ground.
-    """
-    by_strip = [[one for one in suspects if one.subject.strip == strip] for strip in measured.tasks]
-    found = list[Contradiction]()
-    for every in (suspects, *by_strip):
-        if len(every) > FEWEST and not found:
-            near = _near_middle(every, measured).tolist()
-            those = [one for one, is_near in zip(every, near) if is_near]
-            if len(those) > max(FEWEST, MOSTLY * len(every)) and len({one.subject.ccd for one in those}) > 1:
-                yield those
-                found = those if every is suspects else found
 
 
 def _near_middle(those: Sequence[Contradiction], measured: MeasuredTargets) -> Bools:
