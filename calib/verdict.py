@@ -28,7 +28,7 @@ from boresight.calib.hypotheses import Hypothesis
 from boresight.calib.reliability import HypothesisTest, Reliability
 from boresight.calib.simultaneous_strips import groups_of
 from boresight.geometry.sightings import GroundSightings, StripSightings
-from boresight.records.ledger import Kind, Reason, Subject, count_words
+from boresight.records.ledger import Kind, Reason, Subject, count_words, list_words
 from boresight.records.record import Floats, array, check_numbers, record, scalar
 
 __all__ = ["Check", "CheckKind", "Outcome", "Suspect", "Verdict", "VerdictSettings", "assess", "p_residuals"]
@@ -527,17 +527,10 @@ def _duplicates(strips: Sequence[StripSightings], checks: _Checks) -> Check:
 def _twice_finding(checks: Sequence[Check], target_files: str) -> Iterator[Finding]:
     """That targets are listed under several ids, measured at other pixels each time."""
     for check in (one for one in checks if one.kind is CheckKind.DUPLICATED_TARGETS and one.fails):
-        those, more = " and ".join(check.names[0][:3]), len(check.names) - 1
-        others = f", and {more} more places" if more else ""
-        yield Finding(
-            cause="targets listed more than once",
-            item=count_words(int(check.statistic), "target"),
-            text=f"{those} are one place{others}: keep one row of each in {target_files}.",
-            subjects=tuple(Subject(Kind.TARGET, id=name) for group in check.names for name in group),
-            file=target_files,
-            field="id",
-            refutes=True,
-        )
+        names = list_words([" and ".join(group) for group in check.names], 1)
+        text = f"one place each: {names}; keep one row of each in {target_files}."
+        cause, item = "targets listed more than once", count_words(int(check.statistic), "target")
+        yield Finding(cause=cause, item=item, text=text, file=target_files, field="id", refutes=True)
 
 
 def _same_place(ground: GroundSightings) -> list[tuple[int, int]]:

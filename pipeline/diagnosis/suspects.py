@@ -152,6 +152,8 @@ def _of_displaced(those: Sequence[Contradiction], measured: MeasuredTargets) -> 
     east_m, north_m, _ = np.median([measured.displaced(one) for one in those], axis=0).tolist()
     one, strips = _of_target(those, measured), sorted({suspect.subject.strip for suspect in those})
     look_at = f"{one.field} in {one.file}{'' if measured.is_point(those[0].subject) else ' and the chips'}"
+    if [subject.strip for subject in measured.xy_px].count(strips[0]) == len(those):  # a whole strip
+        look_at += "; or utc_first_row in strips.csv"
     return replace(
         one,
         item=f"{len(those)} targets in strip{'s' * (len(strips) > 1)} {list_words(strips)}",
