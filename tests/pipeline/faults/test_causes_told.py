@@ -431,6 +431,8 @@ REVERSED = r"^order of an image, strip s01: {} 12 of 12 targets are found, as st
         ("ground", partial(faults.redrawn, partial(np.rot90, k=2)),
             "^axes of the star images.* rotated by 180° 3 of 3 strips see their"),
         ("ground", geocentric, "36 of 36 targets: they lie 2.* m south of the middle of their chips"),
+        ("points", one_point("s01-t07", "line", lambda v: repr(float(v) + 4000.0)),
+            r"^points\.csv: line of s01-t07, strip s01: found \d+.*, expected a line of the strip, 0 to"),
         ("points", thinned, r"with run\.exposure_margin_s = \d+ those around it would"),
         ("points", number(REMOTE, "x_offset_mm", lambda v: 0.0),
             r"^place of a CCD, along the track, CCD \d:.*x_offset"),
