@@ -36,7 +36,7 @@ __all__ = ["Check", "CheckKind", "Outcome", "Suspect", "Verdict", "VerdictSettin
 SAME_PLACE_M = 0.05  # two surveyed targets are never nearer; rounding of coordinates is far smaller
 LARGER, PROBABILITY_LARGER = 1.2, 1e-3  # residuals over the stated, and by chance, from which that is said
 FEWEST_DOF = 5  # of the targets' residuals: with four targets any one of them is checked by the others
-ALIKE_SIGMAS = 3.0  # between what two heads leave of the rest, within which either may be the wrong one
+ALIKE_SIGMAS = 1.0  # between what two heads leave of the rest, within which either may be the wrong one
 NEARLY_SAME_PLACE_M = 10.0  # candidates: along a straight path of the satellite instead of its curved one
 
 
