@@ -509,11 +509,13 @@ def _of_looks(of: HypothesisInputs) -> Iterator[Hypothesis]:
     axes, (x, y) = ("along the track", "across the track"), -of.shifts()
     every = list(_cameras(of))
     yield from _in_each(every, _errors(of, "place of the CCDs", axes, (x, y)))
-    numbers, at = sorted(set(zip(camera.tolist(), ccd.tolist()))), np.zeros((len(sample), 1))
+    numbers, beside = sorted(set(zip(camera.tolist(), ccd.tolist()))), np.zeros((len(sample), 1))
     for n, number in numbers:
         here = (camera == n) & (ccd == number)
-        half = max(float(np.ptp(sample[here])) / 2.0, 1.0)
-        at[here, 0] = (sample[here] - float(sample[here].min() + half)) / half  # -1 to 1 over it
+        pivot = (of.pivots or {}).get((of.cameras[n], number), float(sample[here].mean()))
+        beside[here, 0] = sample[here] - pivot
+    widest = [max(float(np.abs(beside[camera == n]).max(initial=0.0)), 1.0) for n in range(len(every))]
+    at = beside / np.array(widest)[camera, None]  # -1 to 1 over the widest CCD of a camera
     if len(numbers) > len(every):  # of one CCD it is the length of that
         changes_c = np.moveaxis(legvander(at, DEGREES)[:, :, 1:] * y[:, :, None], 2, 0)
         names = tuple(f"degree {degree} over each CCD" for degree in range(1, DEGREES + 1))
@@ -521,14 +523,13 @@ def _of_looks(of: HypothesisInputs) -> Iterator[Hypothesis]:
     for n, number in numbers:
         if sum(one == n for one, _ in numbers) == 1:
             continue
-        here, name = (camera == n) & (ccd == number), of.cameras[n]
-        pivot = (of.pivots or {}).get((name, number), float(sample[here].mean()))
+        here = (camera == n) & (ccd == number)
         shapes = [
-            _error(of, "rotation of a CCD", -MILLI * (sample - pivot)[:, None] * x),
+            _error(of, "rotation of a CCD", -MILLI * beside * x),
             _error(of, "length of a CCD", at * y),
             _error(of, "bend of a CCD", (at**2 - 1.0 / 3.0) * x),
         ]
-        subject = Subject(Kind.CCD, camera=name, ccd=number)
+        subject = Subject(Kind.CCD, camera=of.cameras[n], ccd=number)
         placed = _errors(of, "place of a CCD", axes, (x, y))
         yield from _in_each([(subject.words, (subject,), here)], [*placed, *shapes])
     yield from _in_each(every, [_focal_length(of)])

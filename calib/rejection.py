@@ -64,7 +64,8 @@ def _targets(
     for row in own[~inside].tolist():
         yield Entry(residuals.subject(row), Reason.NOT_BETWEEN_EXPOSURES)
     for row in own[inside & ~residuals.kept[own]].tolist():
-        rivals = {residuals.subject(int(other)) for other in residuals.rivals[row]}
+        # One that loses all weight to a rejected one, being surely the wrong one of both, was not searched.
+        rivals = {residuals.subject(int(other)) for other in residuals.rivals.get(row, ())}
         yield Entry(
             residuals.subject(row),
             Reason.TARGET_RESIDUAL,

@@ -28,7 +28,7 @@ from boresight.calib.hypotheses import Hypothesis
 from boresight.calib.reliability import HypothesisTest, Reliability
 from boresight.calib.simultaneous_strips import groups_of
 from boresight.geometry.sightings import GroundSightings, StripSightings
-from boresight.records.ledger import Kind, Reason, Subject
+from boresight.records.ledger import Kind, Reason, Subject, count_words, list_words
 from boresight.records.record import Floats, array, check_numbers, record, scalar
 
 __all__ = ["Check", "CheckKind", "Outcome", "Suspect", "Verdict", "VerdictSettings", "assess", "p_residuals"]
@@ -276,7 +276,8 @@ def assess(
         weakest_sigma_rad=float(np.sqrt(values[-1])),
     )
     heads_told = [one for one in _head_findings(heads) if not any(one.subjects == c.subjects for c in causes)]
-    told = heads_told or causes or tuple(_orbit_finding(estimate, found, of_bias, target_files))
+    told = tuple(_twice_finding(found, target_files)) or heads_told or causes
+    told = told or tuple(_orbit_finding(estimate, found, of_bias, target_files))
     return verdict.with_findings([*told, *_larger_than_stated(found, reliability)])
 
 
@@ -512,6 +513,15 @@ def _duplicates(strips: Sequence[StripSightings], checks: _Checks) -> Check:
     n = len({name for strip in strips for name in strip.ground.target_id.tolist()})
     p_value = 0.0 if found else 1.0
     return checks.of(CheckKind.DUPLICATED_TARGETS, len(groups), 0, n, p_value, names=found)
+
+
+def _twice_finding(checks: Sequence[Check], target_files: str) -> Iterator[Finding]:
+    """That targets are listed under several ids, measured at other pixels each time."""
+    for check in (one for one in checks if one.kind is CheckKind.DUPLICATED_TARGETS and one.fails):
+        names = list_words([" and ".join(group) for group in check.names], 1)
+        text = f"one place each: {names}; keep one row of each in {target_files}."
+        cause, item = "targets listed more than once", count_words(int(check.statistic), "target")
+        yield Finding(cause=cause, item=item, text=text, file=target_files, field="id", refutes=True)
 
 
 def _same_place(ground: GroundSightings) -> list[tuple[int, int]]:

@@ -70,12 +70,16 @@ def assessed(
     if of_stars:  # places by wrong attitudes accuse no single target
         reliability = replace(reliability, suspects=())
     earth = input_findings.check_earth_table(dump.orbit, dump.earth_table, bundled_table())
-    explanations = list[Finding]()
-    if any(one.refutes for one in of_attitudes):  # what follows from them accuses no other input
+    start_fails = any(check.fails for check in verdict.checks if check.kind is CheckKind.START_MATRIX)
+    convention = wrong_convention(basis) if start_fails else None
+    explanations = [convention] if convention else list[Finding]()
+    if any(one.refutes for one in (*of_attitudes, *explanations)):  # what follows accuses no other input
         verdict = replace(verdict, findings=())
     else:
         explanations = _explanations(basis, last, found, verdict, reliability, (targets, stars))
-    if of_attitudes:  # which move all CCDs of a strip alike: what refutes by some of them stands
+    if of_attitudes:  # by which heads contradict one another, and which move all CCDs of a strip alike
+        others = (one for one in verdict.findings if {it.kind for it in one.subjects} != {Kind.HEAD})
+        verdict = replace(verdict, findings=tuple(others))
         explanations = [one for one in explanations if one.refutes and one.subjects]
         explanations = [one for one in explanations if all(it.kind is Kind.CCD for it in one.subjects)]
     lost = {subject.strip for one in explanations for subject in one.subjects}
@@ -130,12 +134,9 @@ def _explanations(
     reliability: Reliability,
     ledgers: tuple[Ledger, Ledger],
 ) -> list[Finding]:
-    """A convention that is wrong; without one, targets and stars that contradict the rest or were not found,
-    and that no common cause of the verdict explains.
+    """Targets and stars that contradict the rest or were not found, and that no common cause of the verdict
+    explains.
     """
-    start_fails = any(check.fails for check in verdict.checks if check.kind is CheckKind.START_MATRIX)
-    if start_fails and (convention := wrong_convention(basis)):
-        return [convention]
     told = verdict.findings
     targets, stars = ledgers
     noise = reliability.scatter  # larger errors lose no observation

@@ -44,6 +44,7 @@ __all__ = ["cause_of_no_result", "what_is_missing", "wrong_convention"]
 
 MIRROR_TRIALS = 3  # exposures
 FEW_TARGETS = 4  # of a strip; fewer seldom exclude chance when the pre-launch matrix is uncertain
+FEWEST_SEEN = 3  # targets of all strips by which a reading is judged: one or two are in view by chance
 
 
 def what_is_missing(
@@ -180,7 +181,9 @@ def wrong_convention(basis: Basis) -> Finding | None:
 
 
 def _agreeing_strips(basis: Basis, dump: Dump) -> int:
-    """Strips of a dump read otherwise than `basis` that see stars or targets by pre-launch matrices."""
+    """Strips of a dump read otherwise than `basis` that see stars or targets by pre-launch matrices; targets
+    count where they are not too few.
+    """
     runner, settings = StageRunner(None, InOrder()), basis.settings
     heads = [
         sight_head(dump, head, settings, runner)
@@ -191,15 +194,17 @@ def _agreeing_strips(basis: Basis, dump: Dump) -> int:
     start = dump.R_cs0, dump.sigma_installation_rad
     tasks, _ = strip_tasks(dump, heads, *start, stated_mountings(heads), settings, with_slips=False)
     named = name_in_sky_strips(dump, find_in_sky_strips(dump, heads, settings, runner), *start, known=False)
-    return sum(_sees_its_targets(task, dump) for task in tasks) + sum(len(one.rows) > 0 for one in named)
+    seen = [_targets_seen(task, dump) for task in tasks]
+    of_ground = np.count_nonzero(seen) if sum(seen) >= FEWEST_SEEN else 0
+    return of_ground + sum(len(one.rows) > 0 for one in named)
 
 
-def _sees_its_targets(task: StripTask, dump: Dump) -> bool:
-    """Whether a strip shows a target, or its measured points lie where the pre-launch matrix allows."""
+def _targets_seen(task: StripTask, dump: Dump) -> int:
+    """Targets that a strip shows, or its measured points where most lie as the pre-launch matrix allows."""
     points = task.points
     if not len(points.ccd):
         outside = misses(task, dump.targets)[0] if dump.targets else np.full((1, 2), np.nan)
-        return bool((np.hypot(*outside.T) == 0.0).any())
+        return int((np.hypot(*outside.T) == 0.0).sum())
     limit_px = task.settings.sigmas * float(task.sigma_installation_rad.max()) / task.camera.pixel_rad
     p_e = np.array([target.p_e for target in points.targets])
     near: Floats = np.zeros(len(points.ccd))
@@ -208,4 +213,4 @@ def _sees_its_targets(task: StripTask, dump: Dump) -> bool:
         sample, line = pushbroom_of(task).pixels_from_ground(ccd, p_e[here])
         off_px = np.hypot(sample - points.xy_px[here, 0], line - points.xy_px[here, 1])
         near[here] = np.nan_to_num(off_px, nan=np.inf) < limit_px
-    return bool(near.mean() > 0.5)
+    return int(near.sum()) if near.mean() > 0.5 else 0

@@ -3,9 +3,10 @@
 Before anything else is looked at, the attitudes of every head are held against a motion that a satellite can
 make (`diagnosis.stretches`). Where they are likelier with larger errors than stated, the proportion of
 these from axis to axis tells the cause: errors of the instants, errors of all axes alike, or the stated ones
-several times. Single rows that do not fit are reported singly, and as exchanged where two of them fit in each
-other's place. A slow error, or a lag of all rows, is motion too: others tell of it. Where a gyro covers the
-rows, that is the motion, and what else is smooth contradicts it: a lag of the attitudes, or a wrong gyro.
+several times. Single rows that do not fit are reported singly, as exchanged where two of them fit in each
+other's place, and as shifted where all fit at the times of other rows. A slow error, or a lag of all rows, is
+motion too: others tell of it. Where a gyro covers the rows, that is the motion, and what else is smooth
+contradicts it: a lag of the attitudes, or a wrong gyro.
 """
 
 from __future__ import annotations
@@ -47,6 +48,7 @@ ALLOWED = 6.0  # of the logarithm, by which chance makes one stretch of rows lik
 LAGS_S = np.array([1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3, 1.0])  # of attitudes against a gyro, that are tried
 LEAST_UNEVEN_S = 1e-3  # rms by which instants lie off even ones, from which even ones are tried
 LEAST_SHARE = 0.25  # of rows whose instants are off
+SHIFTS = (1, -1, 2, -2, 3, -3)  # rows by which attitudes may be shifted against their times
 TRIED = np.exp(np.linspace(-4.0, 12.0, 65))  # sizes of an excess, times the stated error
 DEFAULTS = VerdictSettings()  # limits of the verdict where none are given
 
@@ -247,8 +249,9 @@ def _of_head(of_head: Attitudes) -> list[Finding]:
         groups, in_order, gained, (alone, gain) = [], of_head, 0.0, _alone(of_head)
         more = _excess(of_head, of_head.stretches(np.setdiff1d(every, alone)))
     price = 2.0 * CERTAIN * sum(len(group) - 1 for group in groups)  # some pair nearly fits by chance
-    if told and told[1] > gained + gain - price:
-        return [told[0]]
+    of_all = max((one for one in (told, _shifted(of_head)) if one), key=lambda one: one[1], default=None)
+    if of_all and of_all[1] > gained + gain - price:
+        return [of_all[0]]
     rest = np.setdiff1d(every, alone)
     missed = "exchanged they fit, as stated they miss it by"
     found = [_finding(of_head, group, rest, missed) for group in groups]
@@ -408,6 +411,24 @@ def _uneven(of_head: Attitudes, parts: Sequence[Stretch]) -> tuple[Finding, floa
     multiples = f", all of them multiples of {step_s:.4g} s" if step_s else ""
     text = f"evenly spaced they fit, as stated they scatter by {1e3 * off_s:.3g} ms{multiples}: check {{}}."
     return _of_all(of_head, "times of {}", text, 1e3 * off_s, "ms"), gain
+
+
+def _shifted(of_head: Attitudes) -> tuple[Finding, float] | None:
+    """The finding about attitudes that stand so many rows from their times, and by how much they are likelier
+    there, if they are: at gaps between stretches a shift carries rows from one to the next.
+    """
+    n, found = len(of_head.t_s), [(0.0, 0)]
+    for shift in SHIFTS:
+        rows = np.arange(max(-shift, 0), n - max(shift, 0))  # that have an attitude then
+        moved = _likelihood(_in_order(of_head, np.roll(np.arange(n), -shift)).stretches(rows))
+        stated = (_likelihood(of_head.stretches(without)) for without in (rows, rows + shift))
+        found.append((moved - max(stated), shift))
+    gain, shift = max(found)
+    if gain < _limit(of_head):
+        return None
+    where = f"{abs(shift)} row{'s' * (abs(shift) > 1)} {'early' if shift < 0 else 'late'}"
+    text = f"they stand {where}: shifted back all fit, as stated those at gaps do not: check {{}}."
+    return _of_all(of_head, "times of {}", text, float(shift), "rows"), gain
 
 
 def _even_instants(t_s: Floats, parts: Sequence[Stretch]) -> list[Floats]:

@@ -18,11 +18,13 @@ from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, compass, displaced_m, pushbroom_of
 from boresight.pipeline.stages.strip_tasks import fitting_slip
 from boresight.records.ledger import Kind, Ledger, Subject, list_words
+from boresight.records.record import Bools
 
 __all__ = ["MeasuredTargets", "single_targets"]
 
 FEWEST = 3  # targets that make a pattern
-ALIKE_SIGMAS = 5.0  # of a target, within which those of a part of a strip are off alike
+ALIKE_SIGMAS = 5.0  # of a target, within which those of a part of a strip, or of several CCDs, are off alike
+MOSTLY = 0.7  # of a group, that are off alike
 SUSPECT_SHARE = 0.05  # of good data with wrong coordinates or chips; only compares groups
 # Log likelihood that a share of suspected targets of its own must gain a group, to be one (set by hand).
 GROUP_PENALTY = 3.0
@@ -83,22 +85,26 @@ def single_targets(
     is_explained: bool = False,
 ) -> Iterator[Finding]:
     """A finding for each target of the ground that is off, for those of a part of a strip that are off alike
-    and, where more than three of a strip, of a CCD or of a CCD in one strip are, for that group; none for
-    groups where a common cause is found already. The ledger holds all targets in view.
+    and, where more than three of a strip, of a CCD or of a CCD in one strip are, for that group, or for those
+    of several CCDs that are off alike; none for groups where a common cause is found already. The ledger
+    holds all targets in view.
     """
     rest = [suspect for suspect in suspects if suspect.subject in measured.xy_px]
     for alike in _stretches(rest, measured):
         yield _of_stretch(alike, measured)
         rest = [suspect for suspect in rest if suspect not in alike]
-    found: dict[tuple[str, bool], dict[Subject, list[Subject]]] = defaultdict(dict)
+    found: dict[tuple[str, bool], dict[Subject, list[Contradiction]]] = defaultdict(dict)
     for group in _groups([suspect.subject for suspect in rest], ledger):
-        those = [suspect.subject for suspect in rest if _holds(group, suspect.subject)]
+        found[group.strip, group.ccd >= 0][group] = [one for one in rest if _holds(group, one.subject)]
         rest = [suspect for suspect in rest if not _holds(group, suspect.subject)]
-        found[group.strip, group.ccd >= 0][group] = those
-    if not is_explained:
-        for groups in found.values():
-            first = next(iter(groups.values()))[0]
-            yield _of_groups(groups, of_points=measured.is_point(first))
+    for groups in () if is_explained else found.values():
+        every = [one for those in groups.values() for one in those]
+        alike = [one for one, is_near in zip(every, _near_middle(every, measured).tolist()) if is_near]
+        if len(alike) > MOSTLY * len(every) and len({one.subject.ccd for one in alike}) > 1:
+            yield _of_displaced(alike, measured)
+        else:
+            subjects = {group: [one.subject for one in those] for group, those in groups.items()}
+            yield _of_groups(subjects, of_points=measured.is_point(every[0].subject))
     of_target: dict[str, list[Contradiction]] = defaultdict(list)
     for suspect in rest:
         of_target[suspect.subject.id].append(suspect)
@@ -116,10 +122,15 @@ def _stretches(suspects: Sequence[Contradiction], measured: MeasuredTargets) -> 
             those = [off[name] for name in part] if is_off else []
             if not FEWEST <= len(those) < len(shown):
                 continue
-            off_m = np.array([measured.displaced(one) for one in those])
-            middle = np.average(off_m[:, :2], axis=0, weights=off_m[:, 2] ** -2.0)
-            if (np.hypot(*(off_m[:, :2] - middle).T) < ALIKE_SIGMAS * off_m[:, 2]).all():
+            if _near_middle(those, measured).all():
                 yield those
+
+
+def _near_middle(those: Sequence[Contradiction], measured: MeasuredTargets) -> Bools:
+    """Which targets (N,) are off as their median is."""
+    off_m = np.array([measured.displaced(one) for one in those])
+    middle = np.median(off_m[:, :2], axis=0)
+    return np.asarray(np.hypot(*(off_m[:, :2] - middle).T) < ALIKE_SIGMAS * off_m[:, 2])
 
 
 def _of_stretch(those: Sequence[Contradiction], measured: MeasuredTargets) -> Finding:
@@ -133,6 +144,21 @@ def _of_stretch(those: Sequence[Contradiction], measured: MeasuredTargets) -> Fi
         text=f"all {len(those)} targets there are off alike, by {one.value:.3g} m: check file in strips.csv.",
         file="strips.csv",
         field="file",
+    )
+
+
+def _of_displaced(those: Sequence[Contradiction], measured: MeasuredTargets) -> Finding:
+    """Targets on several CCDs that are off alike: their coordinates."""
+    east_m, north_m, _ = np.median([measured.displaced(one) for one in those], axis=0).tolist()
+    one, strips = _of_target(those, measured), sorted({suspect.subject.strip for suspect in those})
+    look_at = f"{one.field} in {one.file}{'' if measured.is_point(those[0].subject) else ' and the chips'}"
+    if [subject.strip for subject in measured.xy_px].count(strips[0]) == len(those):  # a whole strip
+        look_at += "; or utc_first_row in strips.csv"
+    return replace(
+        one,
+        item=f"{len(those)} targets in strip{'s' * (len(strips) > 1)} {list_words(strips)}",
+        text=f"all lie about {compass(east_m, north_m)} of the true place: check {look_at}.",
+        value=float(np.hypot(east_m, north_m)),
     )
 
 
@@ -220,8 +246,8 @@ def _of_groups(groups: Mapping[Subject, Sequence[Subject]], *, of_points: bool) 
         whose = "their" if several else "its"
         text = f"{n} of {whose} targets contradict the rest: check {first}; or {second}."
     elif strip_id:
-        cause, item, field = "coordinates or chips", f"{n} targets in strip {strip_id}", ""
-        check = file if of_points else f"{file} and the chips"
+        cause, item, field = "coordinates, chips or times", f"{n} targets in strip {strip_id}", ""
+        check = f"{file}{'' if of_points else ', the chips'}, utc_first_row in strips.csv"
         text = f"{list_words([target.id for target in those])} {unexplained} {check}."
     else:
         cause, item, field = "look directions or coordinates", f"{n} targets of all strips", ""

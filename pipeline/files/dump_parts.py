@@ -42,6 +42,10 @@ from boresight.records.record import Floats
 
 __all__ = ["DumpParts"]
 
+OUTSIDE_LINES = (
+    10.0  # by which a measured point may lie outside its image: no error of a measurement is as large
+)
+
 
 class DumpParts:
     """The parts of the dump in a folder; a part that is wrong raises `RawDataError`.
@@ -172,7 +176,7 @@ class DumpParts:
     ) -> tuple[tuple[ground_points.StripPoints, ...], tuple[ground_points.SurveyedPoints, ...]]:
         """Measured image points, one record a strip of the ground, and the same points on the ground.
 
-        `RawDataError` for points in a strip or a CCD that the dump has not.
+        `RawDataError` for points in a strip, a CCD or lines that the dump has not.
         """
         if self._is_without("points"):
             return (), ()
@@ -185,6 +189,10 @@ class DumpParts:
             ccds = known[measured.strip_id].ccd_lines
             if unknown := sorted(set(measured.ccd.tolist()) - set(ccds)):
                 raise RawDataError(file, "ccd", unknown[0], f"a CCD of strip {measured.strip_id}")
+            line, lines = measured.xy_px[:, 1], np.array([ccds[ccd] for ccd in measured.ccd.tolist()])
+            for n in np.flatnonzero((line < -OUTSIDE_LINES) | (line > lines + OUTSIDE_LINES))[:1].tolist():
+                item = f"line of {measured.targets[n].target_id}, strip {measured.strip_id}"
+                raise RawDataError(file, item, f"{line[n]:g}", f"a line of the strip, 0 to {lines[n] - 1}")
         return points, (surveyed,)
 
     @cached_property

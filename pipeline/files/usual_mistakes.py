@@ -46,7 +46,8 @@ _EFFECT_M_S = 2.0  # smallest error of the velocities that is reported: 0.0014 a
 _MISFIT_M_S = 20.0  # largest difference of velocities from those of the positions that a fault may leave
 _SHORTEST_S = 20.0  # span of states whose accelerations are compared with models: 1 m/s apart by then 20 m/s
 _ACCELERATION_M_S2 = 0.3  # smallest unexplained acceleration that is reported; the Earth's rotation makes 1.1
-_JUMP_M = 20.0  # smallest jump of the positions that is reported
+_JUMP_M = 7.5  # smallest jump of the positions that is reported: a millisecond along the track
+_LONGEST_GAP_S = 180.0  # over which positions are compared with velocities: quadrature errs by metres
 _JUMP_SIGMAS = 12.0  # of the steps' scatter
 _JUMP_RELATIVE = 2e-4  # of a step's length: error of the quadrature for steps of minutes
 STEADY_RAD_S = 1e-4  # against the orbital frame: a tenth of the orbital rate; yaw steering stays below
@@ -106,7 +107,7 @@ def find_orbit_fault(
 
     Instants `t_s` (K,), s; states (K, 3) in the axes of `frame`, m and m/s: in ITRF the velocity is the rate
     of change of the coordinates. None also for fewer than two states without a gap between them. Errors of
-    the velocities below 2 m/s, jumps of the positions below 20 m or within their scatter, and gaps are no
+    the velocities below 2 m/s, jumps of the positions below 7.5 m or within their scatter, and gaps are no
     inconsistencies.
     """
     step = np.diff(t_s)
@@ -127,7 +128,7 @@ def find_orbit_fault(
     return (
         _velocity_fault(step, by_positions, by_velocities, (other, carried), compared)
         or _frame_fault(t_s, positions_m, velocities_m_s, frame)
-        or _jump(by_positions, by_velocities, compared)
+        or _jump(by_positions, by_velocities, compared, compared | (step < _LONGEST_GAP_S))
     )
 
 
@@ -210,10 +211,12 @@ def _frame_fault(t: Floats, p: Floats, v: Floats, frame: str) -> OrbitFinding | 
     return OrbitFinding(fault=best, state=0, size=misfit[None], factor=1.0)
 
 
-def _jump(by_positions: Floats, by_velocities: Floats, compared: Bools) -> OrbitFinding | None:
-    """The largest difference of a step from its velocities beyond the scatter of all steps."""
+def _jump(by_positions: Floats, by_velocities: Floats, usual: Bools, compared: Bools) -> OrbitFinding | None:
+    """The largest difference of a step from its velocities beyond the scatter of the `usual` ones: times that
+    jump by a step make a gap.
+    """
     difference = np.where(compared, np.linalg.norm(by_positions - by_velocities, axis=1), 0.0)
-    scatter = 1.4826 * float(np.median(difference[compared]))
+    scatter = 1.4826 * float(np.median(difference[usual]))
     limit = np.maximum(
         max(_JUMP_M, _JUMP_SIGMAS * scatter), _JUMP_RELATIVE * np.linalg.norm(by_positions, axis=1)
     )

@@ -174,6 +174,6 @@ def fitting_slip(task: StripTask, target: Target, ccd: int, xy_px: Floats) -> st
         return ""
     for other in range(task.camera.n_ccds):
         if float(off_px(target.p_e[None], other)[0]) < min(limit_px, 0.1 * stated_px):
-            return f"; it fits in CCD {other}, not {ccd}: files or numbers of CCDs are exchanged"
+            return f"; it fits in CCD {other}: correct its CCD"
     slip = likeliest(slips(float(np.degrees(lat[0])), float(np.degrees(lon[0]))), fits)
     return f"; {slip.words} would fit: correct the table" if slip else ""

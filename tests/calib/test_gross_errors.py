@@ -1,6 +1,7 @@
 """Data snooping: it ends, whatever the order; its limit, power and minimal detectable bias are as stated."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,9 +19,10 @@ from boresight.calib.joint_solution import (
     solve_weighted,
     squared_mahalanobis,
 )
+from boresight.calib.rejection import _targets
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
-from boresight.records.ledger import Kind, Reason
+from boresight.records.ledger import Kind, Reason, Subject
 from boresight.simulator.campaign import draw_strips
 
 PIXEL_RAD = CAMERAS.pixel_rad
@@ -219,3 +221,15 @@ def test_search_is_short_where_the_stated_errors_are_far_too_small(monkeypatch):
     kept = snoop(problem, linearised(problem, BOLD), problem.inside, test.limit).weight
     assert np.mean(kept) < 2.0 / 3.0
     assert len(solved) < 2 * 60  # one by one to a third of the targets, then all that fail at once
+
+
+def test_a_target_that_loses_all_weight_to_another_is_listed_without_rivals():
+    """The search notes rivals of those that it rejects; a kept one may lose all weight beside one of them."""
+    own = np.array(["s1", "s1"])
+    lost = SimpleNamespace(
+        strip_id=own, kept=np.array([True, False]), rivals={}, statistic=np.array([1.0, 30.0])
+    )
+    lost.subject = lambda row: Subject(Kind.TARGET, strip="s1", id=f"t{row}")
+    ready = SimpleNamespace(strip=own, inside=np.ones(2, dtype=bool))
+    (entry,) = _targets("s1", ready, 20.0, lost)
+    assert (entry.subject.id, entry.reason, entry.rivals) == ("t1", Reason.TARGET_RESIDUAL, ())

@@ -245,6 +245,23 @@ def test_a_single_row_dated_early_is_named_singly(seed):
     assert told.item == "exposure STR7-000007"
 
 
+@pytest.mark.parametrize("rate", RATES_DEG_S.values(), ids=RATES_DEG_S)
+@pytest.mark.parametrize("rows", [1, -1, 2])
+def test_attitudes_that_stand_rows_from_their_times_are_named_with_the_rows(rate, rows):
+    """Those of later rows stand early; what has no attitude then is cut off."""
+    sound = record_of(1, rate)
+    of = np.arange(42 - abs(rows)) + max(rows, 0)
+    stars = tuple(exposure_without_stars(f"STR7-{k:06d}", sound.stars[k - rows].t_s) for k in of.tolist())
+    R_si, covariance_s = sound.attitudes.R_si[of], sound.attitudes.covariance_s[of]
+    shifted = solved_attitudes(Rotation.from_matrix(R_si), covariance_s)
+    (told,) = against_own_motion([replace(sound, stars=stars, attitudes=shifted)])
+    assert (told.cause, told.item, told.value) == ("times of attitudes", "head STR7", -rows)
+    assert (
+        told.refutes
+        and f"{abs(rows)} row{'s' * (abs(rows) > 1)} {'early' if rows > 0 else 'late'}" in told.text
+    )
+
+
 def test_exposures_that_were_uneven_have_no_finding():
     for seed in range(20):
         late = np.random.default_rng(seed).uniform(0.0, 0.05, 12)

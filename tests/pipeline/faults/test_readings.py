@@ -179,6 +179,12 @@ def test_every_row_of_the_table_names_first_the_mistake_that_it_puts_right(narro
         assert seen == (2 if reading.item == "head STR2" else 0), reading
 
 
+def test_two_points_that_are_seen_by_chance_judge_no_reading(narrow):
+    """Of each strip one: two in all, where three are needed."""
+    one_each = tuple(one.take(np.arange(len(one.ccd)) == 0) for one in narrow.dump.points)
+    assert _agreeing_strips(narrow, replace(narrow.dump, points=one_each)) == 0
+
+
 def test_an_orbit_dated_in_another_time_system_than_stated_is_named(sound, tmp_path):
     fault_dumps.linked(sound, tmp_path / "dump")
     faults.change(tmp_path / "dump" / "orbit.oem", r"(?m)^TIME_SYSTEM = .*$", "TIME_SYSTEM = GPS")
@@ -201,5 +207,6 @@ def test_a_calibration_without_a_matrix_names_the_reading(sound, tmp_path, numbe
     else:
         first = found.verdict.findings[0]
         assert found.verdict.outcome is Outcome.REFUTED and found.estimate.n_targets < 6
+        assert len([one for one in found.verdict.findings if one.is_fault]) == 1
         told = f"{first.cause}, {first.item}: {first.text}"
     assert re.match(f"{cause}, .*3 of 3 strips see .* in {file}", told)

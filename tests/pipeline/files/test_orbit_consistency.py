@@ -100,7 +100,7 @@ def test_states_of_other_axes_are_told_by_their_acceleration(fault, true, stated
     assert 0.3 < found.size < 3.0
 
 
-@pytest.mark.parametrize(("jump_m", "found"), [(5.0, False), (100.0, True), (3e5, True)])
+@pytest.mark.parametrize(("jump_m", "found"), [(5.0, False), (10.0, True), (100.0, True), (3e5, True)])
 @pytest.mark.parametrize("last", [31, 120])
 def test_jump_of_the_positions_is_found_at_its_state(jump_m, found, last):
     t, p, v = ephemeris(n=120)
@@ -119,6 +119,17 @@ def test_order_of_time_and_gaps():
     assert fault is not None and fault.fault is OrbitFault.NOT_ORDERED and fault.state == 1
     keep = np.r_[0:20, 45:70]
     assert find_orbit_fault(t[keep], p[keep], v[keep], "ITRF") is None
+
+
+@pytest.mark.parametrize("step_s", [1.0, 10.0])
+@pytest.mark.parametrize("late_s", [1.0, 0.002])
+def test_times_that_jump_from_a_state_on_are_a_jump_of_the_positions(step_s, late_s):
+    """By a step, too, which looks like a state that is missing."""
+    t, p, v = ephemeris(step_s=step_s)
+    fault = find_orbit_fault(t + late_s * step_s * (np.arange(70) >= 30), p, v, "ITRF")
+    assert fault is not None and (fault.fault, fault.state) == (OrbitFault.JUMP, 30)
+    speed_m_s = np.linalg.norm(v[30])
+    assert fault.size == pytest.approx(late_s * step_s * speed_m_s, rel=0.02)  # it bends over 20 s
 
 
 FACTORS = ("1.0004", "0.94", "1.07", "0.001 (units?)", "0.83 (units?)", "1.83 (units?)")

@@ -90,8 +90,15 @@ class Measured:
         return -30.0, 1.0, 2.5
 
 
-def single(suspects, ledger, **more):
-    return list(single_targets(suspects, Measured(suspects), ledger, **more))
+class Apart(Measured):
+    """The same, but each CCD's in a direction of its own."""
+
+    def displaced(self, suspect):
+        return *np.array([[-30.0, 1.0], [30.0, 4.0], [2.0, 30.0]])[suspect.subject.ccd].tolist(), 2.5
+
+
+def single(suspects, ledger, measured=Measured, **more):
+    return list(single_targets(suspects, measured(suspects), ledger, **more))
 
 
 def ledger_of_rows(*rows):
@@ -157,7 +164,7 @@ def test_many_targets_of_a_strip_are_one_finding():
 
 def test_targets_that_are_off_in_all_strips_are_one_finding_that_accuses_no_strip():
     off = [suspected(f"s{k}", f"t{n}", ccd=n % 3) for k in (1, 2, 3) for n in range(9 + k)]
-    (found,) = single(off, in_view(THREE, 3, 4))
+    (found,) = single(off, in_view(THREE, 3, 4), Apart)
     assert found.item == "33 targets of all strips" and len(found.explains) == 33
     assert "x_offset_mm" in found.text and "targets.csv" in found.text
     assert len(f"{found.cause} {found.item} {found.text}".split()) <= MOST_WORDS
@@ -173,9 +180,27 @@ def test_many_targets_of_a_ccd_are_one_finding_about_its_look_directions():
 
 def test_all_targets_of_two_ccds_in_one_strip_are_one_finding_about_its_images():
     off = [suspected("s2", f"t{n}", ccd=1 + n % 2) for n in range(11)]
-    (found,) = single(off, in_view(THREE, 4, 6))
+    (found,) = single(off, in_view(THREE, 4, 6), Apart)
     assert found.item == "CCD 1 and CCD 2 in strip s2" and len(found.explains) == 11
     assert found.file == "strips.csv" and "exchanged" in found.text
+
+
+def test_targets_of_several_ccds_that_are_off_alike_are_told_by_how_far():
+    """Between others of their strip; where it shows no other, its time may be wrong as well."""
+    off = [suspected("s2", f"t{n}", ccd=1 + n % 2) for n in range(11)]
+    measured = Measured(off)
+    measured.xy_px = {one.subject: (10.0, 100.0 * n) for n, one in enumerate(off)}
+    others = {target("s2", f"y{n}", 3): (10.0, 100.0 * n + 50.0) for n in range(11)}
+    measured.xy_px |= others
+    (found,) = single_targets(off, measured, in_view(THREE, 4, 6))
+    assert (found.cause, found.item) == ("coordinates or chip", "11 targets in strip s2")
+    assert (
+        "about 30 m west of the true place: check lat_deg, lon_deg in targets.csv and the chips."
+        in found.text
+    )
+    measured.xy_px = {name: xy for name, xy in measured.xy_px.items() if name not in others}
+    (found,) = single_targets(off, measured, in_view(THREE, 4, 6))
+    assert found.text.endswith("; or utc_first_row in strips.csv.") and len(found.explains) == 11
 
 
 def strip_of(name, lost, found):
