@@ -230,8 +230,8 @@ def psf_images(
     def product(
         rows: NDArray[Any], columns: NDArray[Any], out: NDArray[Any] | None = None
     ) -> NDArray[np.float32]:
-        if rows.shape[1] == 1:
-            return np.multiply(rows[:, 0, :, None], columns[:, 0, None, :], out=out)
+        if rows.shape[1] == 1:  # einsum's loop takes half as long as that of a product by broadcasting
+            return np.asarray(np.einsum("ni,nj->nij", rows[:, 0], columns[:, 0], out=out))
         return np.matmul(rows.transpose(0, 2, 1), columns, out=out)
 
     product(y, d_x, columns[:, 0])
