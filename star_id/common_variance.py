@@ -9,8 +9,6 @@ from collections.abc import Callable
 import numpy as np
 
 from boresight.records.record import Floats
-from boresight.star_id.beyond_chance import MEDIAN_CHI2
-from boresight.star_id.finding.background import median_of
 
 __all__ = [
     "PER_PARAMETER",
@@ -18,7 +16,6 @@ __all__ = [
     "SMALL_CHANGE",
     "common_variance",
     "share_by_evidence",
-    "usual_variance",
     "zero_of_falling",
 ]
 
@@ -28,11 +25,6 @@ PER_PARAMETER = 1.0
 # Most rounds of a search, or of a solution and its common variance in turn, and the relative change that
 # ends them (set by hand).
 ROUNDS, SMALL_CHANGE = 40, 1e-4
-
-
-def usual_variance(off_px: Floats) -> float:
-    """Variance, px^2 along one axis, of displacements (N, 2), px, by their median."""
-    return median_of((off_px**2).sum(axis=1)) / MEDIAN_CHI2
 
 
 def common_variance(residual_px: Floats, leverage: Floats, own_px2: Floats, before: float) -> float:

@@ -24,7 +24,7 @@ from boresight.geometry.constants import ARCSEC
 from boresight.geometry.star_camera import Projection, StarCamera
 from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import LEAST_STARS, LOST_BY_CHANCE
-from boresight.star_id.common_variance import PER_PARAMETER, usual_variance
+from boresight.star_id.common_variance import PER_PARAMETER
 from boresight.star_id.field_fit import fit_attitude_and_lens
 from boresight.star_id.field_match import match_field
 from boresight.star_id.finding.star_list import StarList, list_stars
@@ -38,7 +38,7 @@ from boresight.star_id.fisheye import (
     wide_lenses,
 )
 from boresight.star_id.given_camera import fit_known_camera
-from boresight.star_id.identification.hypothesis import RESOLVED_PX, STARS_PER_DETECTION
+from boresight.star_id.identification.hypothesis import RESOLVED_PX, STARS_PER_DETECTION, robust_sigma
 from boresight.star_id.identification.identify import (
     DENSER,
     FEW_DETECTIONS,
@@ -425,8 +425,8 @@ def _fitted(
     if first is None:
         u_found = star_directions(index, rows, observer)
         off = stars.xy_px[detections] - start.pixels_from_directions(R_si.apply(u_found))
-        predicted = start.pixels_from_directions(R_si.apply(u_i))
-        detections, rows = matched(predicted, usual_variance(off) * np.eye(2))
+        error2 = robust_sigma(np.hypot(*off.T), pixel=1.0) ** 2 * np.eye(2)
+        detections, rows = matched(start.pixels_from_directions(R_si.apply(u_i)), error2)
     for _ in range(30 if first else 1):  # matching stars and fitting the lens in turn
         reliable = _if_enough(
             select_for_calibration(stars.centroids, detections, rows, start, index, known.settings)

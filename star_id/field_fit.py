@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.star_camera import StarCamera
 from boresight.records.record import Floats, array, record, scalar
+from boresight.star_id.beyond_chance import MEDIAN_CHI2
 from boresight.star_id.camera_fit import CameraFit, IdentifiedStars, fit_camera
-from boresight.star_id.common_variance import usual_variance
 from boresight.star_id.lens_misfit import LensEquations, LensErrors, lens_errors, stretch_size
 
 __all__ = ["FieldFit", "LensFit", "fit_attitude_and_lens"]
@@ -95,7 +95,8 @@ def _fit(
     ideal = expected or replace(camera, principal_px=middle, p1=0.0, p2=0.0, q1=0.0, q2=0.0)
     prior = _prior_sigmas(camera, 0.0 if expected else 1.0)
     off = xy_px - moved_px - camera.pixels_from_directions(R_si.apply(u_i))
-    fit = fit_camera(stars, camera, R, prior=prior, expected=ideal, common_px2=usual_variance(off))
+    common = float(np.median((off**2).sum(axis=1))) / MEDIAN_CHI2
+    fit = fit_camera(stars, camera, R, prior=prior, expected=ideal, common_px2=common)
     equations = LensEquations.of(fit, fit.rotations[0].apply(u_i), cov_px, prior)
     return fit, replace(equations, residual_px=equations.residual_px + moved_px[fit.keep])
 
