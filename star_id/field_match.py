@@ -39,9 +39,6 @@ def match_field(
     image, px^2. Pairs of a probability below one half are left out.
     """
     detection, star = _near(xy_px, cov_px, predicted_px, cov_predicted_px)
-    if len(detection) == 0:
-        none = np.empty(0, dtype=np.int64)
-        return FieldMatch(detections=none, stars=none)
     S = cov_px[detection] + cov_predicted_px[star]
     d = xy_px[detection] - predicted_px[star]
     square = np.einsum("ki,ki->k", d, np.linalg.solve(S, d[:, :, None])[:, :, 0])
