@@ -425,7 +425,7 @@ def _fitted(
     if first is None:
         u_found = star_directions(index, rows, observer)
         off = stars.xy_px[detections] - start.pixels_from_directions(R_si.apply(u_found))
-        error2 = robust_sigma(np.hypot(*off.T), pixel=1.0) ** 2 * np.eye(2)
+        error2 = robust_sigma(2.0 * np.hypot(*off.T), pixel=1.0) ** 2 * np.eye(2)  # the fit decides at limits
         detections, rows = matched(start.pixels_from_directions(R_si.apply(u_i)), error2)
     for _ in range(30 if first else 1):  # matching stars and fitting the lens in turn
         reliable = _if_enough(
