@@ -204,7 +204,6 @@ class _Step:
     d_camera: Floats  # (F,)
     d_rotation: Floats  # (K, 3)
     cov_camera: Floats  # (F, F)
-    cov_rotation: Floats  # (K, 3, 3)
     residual: Floats  # (N, 2)
     J: Floats  # (N, 2, F) derivatives of the pixels by the camera
     A: Floats  # (N, 2, 3) and by the rotation of the image
@@ -214,7 +213,8 @@ class _Step:
     @property
     def in_sigmas(self) -> float:
         """The largest component of the step, in units of its standard error."""
-        sigma = np.sqrt(np.append(np.diag(self.cov_camera), np.einsum("kii->ki", self.cov_rotation)))
+        cov_rotation = self.cov_held + self.gain @ self.cov_camera @ self.gain.transpose(0, 2, 1)
+        sigma = np.sqrt(np.append(np.diag(self.cov_camera), np.einsum("kii->ki", cov_rotation)))
         return float(np.abs(np.append(self.d_camera, self.d_rotation) / sigma).max())
 
     def leverage(self, W: Floats, frame: Ints) -> Floats:
@@ -245,16 +245,15 @@ def _step(
     products = _products_by_image(np.concatenate([J, A, residual[:, :, None]], axis=2), W, stars)
     F = len(columns)
     Naa, Nca, ga = products[:, F:-1, F:-1], products[:, :F, F:-1], products[:, F:-1, -1]
-    gain = np.linalg.solve(Naa, Nca.transpose(0, 2, 1))  # (K, 3, F)
+    cov_held = np.asarray(np.linalg.inv(Naa))
+    gain = cov_held @ Nca.transpose(0, 2, 1)  # (K, 3, F)
     normal = products[:, :F, :F].sum(axis=0) - (Nca @ gain).sum(axis=0) + np.diag(prior_weight)
     g = products[:, :F, -1].sum(axis=0) - np.einsum("kap,ka->p", gain, ga) + pull
     d_camera = np.linalg.solve(normal, g)
-    d_rotation = np.linalg.solve(Naa, (ga - np.einsum("kpa,p->ka", Nca, d_camera))[:, :, None])[:, :, 0]
+    d_rotation = (cov_held @ ga[:, :, None])[:, :, 0] - gain @ d_camera
     cov_camera = np.linalg.inv(normal)
     cov_camera = 0.5 * (cov_camera + cov_camera.T)  # one image hardly separates x0 and p1: rounding matters
-    cov_held = np.asarray(np.linalg.inv(Naa))
-    cov_rotation = np.asarray(cov_held + gain @ cov_camera @ gain.transpose(0, 2, 1))
-    return _Step(d_camera, d_rotation, cov_camera, cov_rotation, residual, J, A, np.asarray(gain), cov_held)
+    return _Step(d_camera, d_rotation, cov_camera, residual, J, A, np.asarray(gain), cov_held)
 
 
 def _products_by_image(X: Floats, W: Floats, stars: IdentifiedStars) -> Floats:

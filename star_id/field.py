@@ -38,7 +38,7 @@ from boresight.star_id.fisheye import (
     wide_lenses,
 )
 from boresight.star_id.given_camera import fit_known_camera
-from boresight.star_id.identification.hypothesis import RESOLVED_PX, STARS_PER_DETECTION
+from boresight.star_id.identification.hypothesis import RESOLVED_PX, STARS_PER_DETECTION, robust_sigma
 from boresight.star_id.identification.identify import (
     DENSER,
     FEW_DETECTIONS,
@@ -286,9 +286,11 @@ def solve_list(
             reasons.append(answer)
             continue
         found = replace(answer[0], detections=likeliest_first[answer[0].detections])
-        solution = (
-            _of_known_camera(seen, found, known, camera) if camera else _fitted(seen, found, answer[1], known)
-        )
+        if camera:
+            solution: FieldSolution | None = _of_known_camera(seen, found, known, camera)
+        else:
+            of_lens = seen, found, answer[1], known
+            solution = _fitted(*of_lens, first=None) or _fitted(*of_lens)
         if solution is None:
             reasons.append(_without_lens(found))
         elif best is None or solution.matches > CLEARLY_MORE * best.matches:
@@ -400,16 +402,32 @@ def _fitted(
     start: StarCamera,
     known: _Known,
     expected: StarCamera | None = None,
-    first: int = SOME_DETECTIONS,
+    first: int | None = SOME_DETECTIONS,
 ) -> FieldSolution | None:
-    """Solution with attitude, lens and matches in turn, each star weighted by its own covariance: the
+    """Solution with attitude, lens and matches in turn, each star weighted by its own covariance: the `first`
     brightest stars fit the lens, the lens tells which detections are further stars, until they no longer
-    change; None where they become too few, or no lens fits them."""
+    change; None where they become too few, or no lens fits them.
+
+    With None for `first` all detections that match a star by the lens `start` fit the lens once, and must be
+    those that match by the fitted one, else None: wrong ones, as off its middle, could confirm themselves.
+    """
     detections, rows = found.detections[:first], found.stars[:first]
     camera, R_si, index, observer = start, found.R_si, known.index, known.observer
     shown = _expected_stars(start, R_si, len(stars.xy_px), index)
     u_i, moved = star_directions(index, shown, observer), known.covariance(shown, start, R_si)
-    for _ in range(30):  # matching stars and fitting the lens in turn
+
+    def matched(predicted_px: Floats, cov_px: Floats) -> tuple[Ints, Ints]:
+        seen, area_px = np.flatnonzero(start.contains(predicted_px)), start.width_px * start.height_px
+        places = predicted_px[seen], (cov_px + moved)[seen]
+        match = match_field(stars.xy_px, stars.cov_px, *places, area_px)
+        return match.detections, shown[seen[match.stars]]
+
+    if first is None:
+        u_found = star_directions(index, rows, observer)
+        off = stars.xy_px[detections] - start.pixels_from_directions(R_si.apply(u_found))
+        error2 = robust_sigma(2.0 * np.hypot(*off.T), pixel=1.0) ** 2 * np.eye(2)  # the fit decides at limits
+        detections, rows = matched(start.pixels_from_directions(R_si.apply(u_i)), error2)
+    for _ in range(30 if first else 1):  # matching stars and fitting the lens in turn
         reliable = _if_enough(
             select_for_calibration(stars.centroids, detections, rows, start, index, known.settings)
         )
@@ -422,15 +440,13 @@ def _fitted(
         except np.linalg.LinAlgError:  # a lens of another projection
             return None
         camera, R_si = fit.errors.camera, fit.R_si
-        predicted, cov = fit.predict(u_i)
-        seen = np.flatnonzero(camera.contains(predicted))
-        area_px = camera.width_px * camera.height_px
-        match = match_field(stars.xy_px, stars.cov_px, predicted[seen], cov[seen] + moved[seen], area_px)
-        if len(match.stars) < LEAST_STARS:
+        before, (detections, rows) = rows, matched(*fit.predict(u_i))
+        if len(rows) < LEAST_STARS:
             return None
-        before, rows, detections = rows, shown[seen[match.stars]], match.detections
         if np.array_equal(rows, before):
             break
+        if first is None:
+            return None
     timeless = known.settings.epoch_error_years > 0.0 and observer is None
     unknown_scale = np.hypot(ABERRATION_SCALE if timeless else 0.0, stars.psf.scale_sigma)
     field = fit.field

@@ -10,10 +10,10 @@ star only within the few standard deviations where stars are denser than clutter
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from boresight.records.record import Floats, Ints, array, record
 from boresight.star_id.beyond_chance import NEVER_SIGMA
+from boresight.star_id.identification.triangle_index import concatenated_ranges
 
 __all__ = ["FieldMatch", "match_field"]
 
@@ -39,9 +39,6 @@ def match_field(
     image, px^2. Pairs of a probability below one half are left out.
     """
     detection, star = _near(xy_px, cov_px, predicted_px, cov_predicted_px)
-    if len(detection) == 0:
-        none = np.empty(0, dtype=np.int64)
-        return FieldMatch(detections=none, stars=none)
     S = cov_px[detection] + cov_predicted_px[star]
     d = xy_px[detection] - predicted_px[star]
     square = np.einsum("ki,ki->k", d, np.linalg.solve(S, d[:, :, None])[:, :, 0])
@@ -68,7 +65,8 @@ def _near(xy: Floats, cov: Floats, predicted: Floats, cov_predicted: Floats) -> 
     own = np.sqrt(np.trace(cov_predicted, axis1=1, axis2=2))
     largest = float(np.sqrt(np.trace(cov, axis1=1, axis2=2).max(initial=0.0)))
     reach = NEVER_SIGMA * np.hypot(own, largest)
-    near = cKDTree(xy).query_ball_point(predicted, reach)
-    counts = np.array([len(rows) for rows in near], dtype=np.int64)
-    detection = np.array([row for rows in near for row in rows], dtype=np.int64)
-    return detection, np.repeat(np.arange(len(predicted)), counts)
+    along_x, x = xy[:, 0].argsort(kind="stable"), predicted[:, 0]
+    star, position = concatenated_ranges(*xy[along_x, 0].searchsorted([x - reach, x + reach]))
+    detection = along_x[position]
+    near = ((xy[detection] - predicted[star]) ** 2).sum(axis=1) <= reach[star] ** 2
+    return detection[near], star[near]

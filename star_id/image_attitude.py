@@ -19,7 +19,7 @@ from boresight.records.record import Bools, Floats, array, record, scalar
 from boresight.star_id.beyond_chance import LEAST_STARS, MEDIAN_CHI2, NEVER_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import median_of
 
-__all__ = ["NEXT", "PREV", "ImageAttitude", "fit_image_attitude"]
+__all__ = ["NEXT", "PREV", "ImageAttitude", "fit_image_attitude", "rotation_matrix", "rotation_of"]
 
 # Smallest eigenvalue of the information over the largest, below which stars do not fix all three angles.
 _SMALLEST_EIGENVALUE = 1e-10
@@ -109,7 +109,7 @@ def fit_image_attitude(
     if n < 2 or not values[0] > _SMALLEST_EIGENVALUE * values[-1]:
         raise ValueError(f"{n} directions, too few or too close together to fix all three angles")
     return ImageAttitude(
-        R_si=_turned(R_si, R),
+        R_si=rotation_of(R),
         scale=scale,
         covariance=np.asarray(np.linalg.inv(F), dtype=np.float64),
         chi2=float(square @ kept),
@@ -202,14 +202,19 @@ class _Whitened:
         return np.stack([self.first * z[0], self.mixed * z[0] + self.second * z[1]], axis=1)
 
 
-def _turned(start: Rotation, R: Floats) -> Rotation:
-    """The rotation of a matrix (3, 3) near `start`; scipy's test for a rotation matrix takes five times as
-    long."""
-    (_, xy, xz), (yx, _, yz), (zx, zy, _) = (R @ start.as_matrix().T).tolist()
-    x, y, z = 0.5 * (zy - yz), 0.5 * (xz - zx), 0.5 * (yx - xy)
-    sine = math.hypot(x, y, z)
-    scale = math.asin(sine) / sine if sine > 0.0 else 1.0
-    return Rotation.from_rotvec([scale * x, scale * y, scale * z]) * start
+def rotation_of(R: Floats) -> Rotation:
+    """The rotation of a rotation matrix (3, 3); scipy's test for one takes three times as long.
+
+    Each row of four times q qT, q the quaternion, is q up to a factor: the one of the largest component.
+    """
+    (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = R.tolist()
+    rows = (
+        (1.0 + xx - yy - zz, xy + yx, xz + zx, zy - yz),
+        (xy + yx, 1.0 - xx + yy - zz, yz + zy, xz - zx),
+        (xz + zx, yz + zy, 1.0 - xx - yy + zz, yx - xy),
+        (zy - yz, xz - zx, yx - xy, 1.0 + xx + yy + zz),
+    )
+    return Rotation.from_quat(rows[max(range(4), key=lambda k: rows[k][k])])
 
 
 def _normal(z: Floats, D: Floats, weight: Floats | Bools | None = None) -> tuple[Floats, Floats]:
@@ -227,10 +232,10 @@ def _stepped(R: Floats, scale: float, F: Floats, right: Floats) -> tuple[Floats,
     step: list[float] = solved.tolist()
     if info != 0 or not math.hypot(*step) < 0.1:
         return R, scale, [0.0] * len(step)
-    return _rotation_matrix(step[:3]) @ R, scale + sum(step[3:]), step
+    return rotation_matrix(step[:3]) @ R, scale + sum(step[3:]), step
 
 
-def _rotation_matrix(psi: list[float]) -> Floats:
+def rotation_matrix(psi: list[float]) -> Floats:
     """Rotation matrix exp(psi) (3, 3) by Rodrigues' formula."""
     x, y, z = psi
     angle = math.hypot(x, y, z)

@@ -123,8 +123,7 @@ def sight_centroids(
         reason = f"{len(usable)} stars identified, only {len(rows)} fit for calibration, 3 are needed"
         return NotIdentified(f"exposure {exposure_id}: {reason}", len(usable), found.proposals)
     xy = stars.xy_px[rows]
-    u_s = camera.directions_from_pixels(xy)
-    J = camera.pixel_jacobian(xy)
+    u_s, J = camera.directions_and_jacobian(xy)
     cov_s = J @ stars.cov_px[rows] @ J.transpose(0, 2, 1)
     return StarSightings(
         exposure_id=exposure_id,

@@ -73,10 +73,6 @@ class _Filtered:
     noise: Floats  # (N,) of a pixel
     shifts: int
 
-    @property
-    def side(self) -> int:
-        return round(float(np.sqrt(self.windows.shape[1])))
-
     def peaks(self, rows: Ints | slice) -> tuple[Ints, Pixels]:
         """Position and value of the maximum in each of `rows`."""
         flux = self.flux[rows]
@@ -182,7 +178,7 @@ def _hot_pixels(filtered: _Filtered, rows: Ints, best: Ints) -> tuple[Bools, Int
     A star of width 0.4 px in the middle of a pixel puts half of its peak into the four neighbours together, a
     wide star three times its peak.
     """
-    side = filtered.side
+    side = math.isqrt(filtered.windows.shape[1])
     flat, start = filtered.windows.ravel(), rows * side**2
     row, column = np.divmod(best, filtered.shifts)
     middle = (side - filtered.shifts) // 2

@@ -136,18 +136,15 @@ def _all_have_offsets(
     """Whether the steps (2, N) between parts of adjacent lines are alike in both parts by more than
     chance."""
     pixel_dn = scale * np.sqrt(0.5 * PART_PX)
-    if image.dtype == np.uint8 and np.median(parts) < image.min() + SELDOM_SIGMA * pixel_dn:
-        least_dn = _LEAST_NOISE_CUT_OFF_DN
     if pixel_dn <= least_dn:
         return False
     steps = np.clip(steps, -CLIP_SIGMA * scale, CLIP_SIGMA * scale)
     product = steps[0] * steps[1]  # twice the variance of the offsets
-    if product.mean() < 2.0 * _LEAST_VARIANCE * pixel_dn**2:
+    least = max(2.0 * _LEAST_VARIANCE * pixel_dn**2, NEVER_SIGMA * product.std() / np.sqrt(len(product)))
+    if (mean := product.mean()) < least or (steps[0, :-1] * steps[1, 1:]).mean() >= _LIKE_NOISE * mean:
         return False
-    if product.mean() < NEVER_SIGMA * float(product.std()) / np.sqrt(len(product)):
-        return False
-    next_one = float((steps[0, :-1] * steps[1, 1:]).mean())
-    return bool(next_one < _LIKE_NOISE * product.mean())
+    cut_off = image.dtype == np.uint8 and np.median(parts) < image.min() + SELDOM_SIGMA * pixel_dn
+    return bool(not cut_off or pixel_dn > _LEAST_NOISE_CUT_OFF_DN)
 
 
 def _parts(image: NDArray[Any], axis: int) -> Floats:

@@ -227,11 +227,9 @@ def psf_images(
     d_x, d_y = slope[:, :, 0], slope[:, :, 1] * weights[:, None]
     columns = np.empty((n, 5 if widths else 4, side, side), dtype=np.float32)
 
-    def product(
-        rows: NDArray[Any], columns: NDArray[Any], out: NDArray[Any] | None = None
-    ) -> NDArray[np.float32]:
-        if rows.shape[1] == 1:
-            return np.multiply(rows[:, 0, :, None], columns[:, 0, None, :], out=out)
+    def product(rows: NDArray[Any], columns: NDArray[Any], out: Pixels | None = None) -> Pixels:
+        if rows.shape[1] == 1:  # einsum's loop takes half as long as that of a product by broadcasting
+            return np.asarray(np.einsum("ni,nj->nij", rows[:, 0], columns[:, 0], out=out))
         return np.matmul(rows.transpose(0, 2, 1), columns, out=out)
 
     product(y, d_x, columns[:, 0])

@@ -19,7 +19,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude_estimate import wahba_matrices
 from boresight.records.record import Floats, Ints, record
@@ -31,6 +30,7 @@ from boresight.star_id.identification.tangent_plane import (
     tangents_of_directions,
 )
 from boresight.star_id.identification.triangle_index import StarIndex
+from boresight.star_id.image_attitude import rotation_matrix
 
 __all__ = [
     "RESOLVED_PX",
@@ -195,10 +195,9 @@ def refine(
         ordered = np.sort(size)
         median = 0.5 * (ordered[(n - 1) // 2] + ordered[n // 2])
         weight = 1.0 / np.hypot(1.0, size / (2.0 * median + 0.05 * image.field.pixel))
-        A = np.array([*_rotation_derivatives(ideal), *by_distortion[:free], residual]) * weight
-        A = np.concatenate([A.real, A.imag], axis=1)
+        A = (np.array([*_rotation_derivatives(ideal), *by_distortion[:free], residual]) * weight).view(float)
         step = np.linalg.lstsq(A[:-1].T, A[-1], rcond=1e-10)[0]
-        R = Rotation.from_rotvec(step[:3]).as_matrix() @ R
+        R = rotation_matrix(step[:3].tolist()) @ R
         distortion[:free] += step[3:]
     return R, distortion, 3 + free
 

@@ -188,7 +188,7 @@ class _DetectionMap:
         for first, more in zip((hits, misses), self._counted(u_i, *of_others)):
             first[some] += more
         rate = _DETECTION_RATE * min(1.0, len(self.image.points) / STARS_PER_FIELD)
-        chance = max(float(self.occupied.mean()), 1e-6)
+        chance = max(np.count_nonzero(self.occupied) / self.occupied.size, 1e-6)
         return np.asarray(hits * np.log(1.0 - rate + rate / chance) + misses * np.log(1.0 - rate))
 
     def _counted(

@@ -95,6 +95,30 @@ def test_an_unknown_lens_leaves_the_middle_and_the_width_of_the_image_as_sure_as
     assert within_three_in_ten_thousand(together, 3)
 
 
+def test_a_lens_that_confirms_its_stars_is_fitted_once_and_is_that_fitted_from_the_brightest_on(
+    index, images, monkeypatch
+):
+    stars, width, refused, fits = images[0][1], angle_between_edges(TRUTH), [], []
+
+    def fit(camera, R_si, xy_px, *given):
+        fits.append(len(xy_px))
+        if fits == refused:  # the one fit to all stars
+            raise np.linalg.LinAlgError
+        return fit_attitude_and_lens(camera, R_si, xy_px, *given)
+
+    monkeypatch.setattr("boresight.star_id.field.fit_attitude_and_lens", fit)
+    once = solve_list(stars, SIZE, index, SETTINGS, fov_x_rad=1.03 * width)
+    refused, fits[:] = fits.copy(), []
+    again = solve_list(stars, SIZE, index, SETTINGS, fov_x_rad=1.03 * width)
+    assert len(refused) == 1 and refused[0] > 50
+    assert fits[0] == fits[-1] == refused[0] and fits[1] <= 12
+    assert again.hip.tolist() == once.hip.tolist()
+    # a thousandth of the errors of places and width, where steps of a fit end
+    assert again.residual_px == pytest.approx(once.residual_px, abs=1e-4)
+    assert again.fov_x_rad == pytest.approx(once.fov_x_rad, abs=1e-2 * once.fov_x_sigma_rad)
+    assert again.fov_x_sigma_rad == pytest.approx(once.fov_x_sigma_rad, rel=1e-3)
+
+
 def middle_axes(R_si, camera):
     """(3, 3) right, down and towards the image's middle in GCRS, in columns."""
     x, y = MIDDLE[0]

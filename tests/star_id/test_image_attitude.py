@@ -6,7 +6,7 @@ from frames import SMALL_CAMERA
 from plain_attitude import attitude_by_scatter
 from scipy.spatial.transform import Rotation
 
-from boresight.star_id.image_attitude import fit_image_attitude
+from boresight.star_id.image_attitude import fit_image_attitude, rotation_of
 
 SIZE = np.array([SMALL_CAMERA.width_px, SMALL_CAMERA.height_px])
 FALSE_ALARM = 1e-4
@@ -72,3 +72,12 @@ def test_stars_that_are_too_close_for_the_roll_fix_no_attitude_however_well_they
     else:
         with pytest.raises(ValueError, match="too close together"):
             fit_image_attitude(SMALL_CAMERA.pixel_slopes(xy), cov, u_i, R_si, FALSE_ALARM)
+
+
+@pytest.mark.parametrize("axis", range(4))
+def test_a_rotation_of_a_matrix_is_that_of_scipy_whichever_component_is_the_largest(axis):
+    quaternions = np.random.default_rng(axis).normal(size=(50, 4)) + 3.0 * np.eye(4)[axis]
+    for R in [*Rotation.from_quat(quaternions), Rotation.from_quat(np.eye(4)[axis])]:
+        M = R.as_matrix()
+        assert rotation_of(M).as_matrix() == pytest.approx(M, abs=1e-14)  # rounding
+        assert (rotation_of(M) * Rotation.from_matrix(M).inv()).magnitude() < 1e-14
