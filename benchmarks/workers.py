@@ -57,7 +57,6 @@ class Way:
     found: set[bytes] = field(default_factory=set)  # contents of installation.json
 
     def run(self, dump: str, report: tuple[str, ...], *, timed: bool) -> None:
-        """Calibrate once more, for its time or for its memory."""
         with tempfile.TemporaryDirectory() as out:
             begin, peak = time.perf_counter(), 0.0
             command = [*COMMAND, "calibrate", dump, "--out", out, *report, *self.options]
@@ -70,8 +69,7 @@ class Way:
             if timed:
                 self.elapsed_s.append(time.perf_counter() - begin)
                 self.cpu_s.append(ended[2].ru_utime + ended[2].ru_stime)
-            else:
-                self.peak_mib.append(peak)
+            self.peak_mib.append(peak)  # 0 of one that is timed
             self.found.add((Path(out) / "installation.json").read_bytes())
 
 
@@ -115,10 +113,8 @@ def ways_of_working(
     for way in ways:
         local = way.options[0] == "--workers"  # what a cluster's own processes use is not seen here
         elapsed, cpu, name = median(way.elapsed_s), median(way.cpu_s), " ".join(way.options)[:24]
-        faster, spare = (
-            median(first.elapsed_s) / elapsed,
-            median(first.cpu_s) / cpu if local else float("nan"),
-        )
+        faster = median(first.elapsed_s) / elapsed
+        spare = median(first.cpu_s) / cpu if local else float("nan")
         print(f"{name:24s} {elapsed:9.1f} {cpu:7.1f} {faster:11.2f} {spare:11.2f} {max(way.peak_mib):9.0f}")
     same = len(set.union(*(way.found for way in ways))) == 1
     words = "the same, bit for bit" if same else "not the same"
