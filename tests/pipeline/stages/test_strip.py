@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from boresight.calib.hypotheses import HypothesisInputs, hypotheses
+from boresight.calib.strips import prepare_strip
 from boresight.features.targets.dump_check import _in_view
 from boresight.geometry.constants import WGS84
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.calibration.calibrate import DumpCalibration
 from boresight.pipeline.diagnosis.input_findings import nearest_miss
+from boresight.pipeline.stages.observed_strips import sighted_strips
 from boresight.pipeline.stages.strip import footprint_e, ground_sightings, pushbroom_of
 
 
@@ -42,6 +45,28 @@ def test_covariance_of_a_look_vector_is_that_of_sample_and_line(calibration: Dum
     expected = moved[:, :, None] * moved[:, None, :]
     size = np.trace(expected, axis1=1, axis2=2)[:, None, None]
     np.testing.assert_allclose(ground.cov_c / size, expected / size, rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("axis", ["across the track", "height"])  # along it: the clock's
+def test_an_orbit_stated_too_far_to_the_right_or_too_high_is_an_error_above_zero(calibration, axis) -> None:
+    orbit, off_m, heads = calibration.tasks[0].orbit, 10.0, (calibration.reference,)
+    up, ahead = (v / np.linalg.norm(v, axis=1)[:, None] for v in (orbit.positions_m, orbit.velocities_m_s))
+    ways = {"across the track": np.cross(ahead, up), "height": up}
+    elsewhere = replace(orbit, positions_m=orbit.positions_m + off_m * ways[axis])
+    stated, moved = (
+        [
+            prepare_strip(one, calibration.settings)
+            for one in sighted_strips(tasks, calibration.matched, heads)
+        ]
+        for tasks in (calibration.tasks, [replace(task, orbit=elsewhere) for task in calibration.tasks])
+    )
+    inputs = HypothesisInputs(stated, calibration.estimate.R_cs, calibration.camera.pixel_rad)
+    (error,) = (h for h in hypotheses(inputs) if h.cause == f"orbit or targets, {axis}")
+    change_s = np.concatenate([two.v_s - one.v_s for one, two in zip(stated, moved)]) / off_m
+    # Looks that move by so much the other way leave the same residuals. Axes of the orbit's frame in that of
+    # the Earth: the Earth's rotation turns the velocity by 4 degrees.
+    expected = -calibration.estimate.R_cs.apply(change_s)
+    np.testing.assert_allclose(error.moves_c, expected[error.rows], atol=0.08 * np.abs(expected).max())
 
 
 def test_nearest_miss_is_told_across_and_along_the_track(calibration: DumpCalibration) -> None:
