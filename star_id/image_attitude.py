@@ -19,7 +19,7 @@ from boresight.records.record import Bools, Floats, array, record, scalar
 from boresight.star_id.beyond_chance import LEAST_STARS, MEDIAN_CHI2, NEVER_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import median_of
 
-__all__ = ["NEXT", "PREV", "ImageAttitude", "fit_image_attitude", "rotation_matrix", "rotation_of"]
+__all__ = ["NEXT", "PREV", "ImageAttitude", "fit_image_attitude", "rotation_from_matrix", "rotation_matrix"]
 
 # Smallest eigenvalue of the information over the largest, below which stars do not fix all three angles.
 _SMALLEST_EIGENVALUE = 1e-10
@@ -109,7 +109,7 @@ def fit_image_attitude(
     if n < 2 or not values[0] > _SMALLEST_EIGENVALUE * values[-1]:
         raise ValueError(f"{n} directions, too few or too close together to fix all three angles")
     return ImageAttitude(
-        R_si=rotation_of(R),
+        R_si=rotation_from_matrix(R),
         scale=scale,
         covariance=np.asarray(np.linalg.inv(F), dtype=np.float64),
         chi2=float(square @ kept),
@@ -202,7 +202,7 @@ class _Whitened:
         return np.stack([self.first * z[0], self.mixed * z[0] + self.second * z[1]], axis=1)
 
 
-def rotation_of(R: Floats) -> Rotation:
+def rotation_from_matrix(R: Floats) -> Rotation:
     """The rotation of a rotation matrix (3, 3); scipy's test for one takes three times as long.
 
     Each row of four times q qT, q the quaternion, is q up to a factor: the one of the largest component.

@@ -32,7 +32,7 @@ from boresight.star_id.identification.hypothesis import (
 from boresight.star_id.identification.proposals import MOST_DETECTIONS, propose
 from boresight.star_id.identification.tangent_plane import Complex, FieldOfView, PlaneDetections
 from boresight.star_id.identification.triangle_index import STARS_PER_FIELD, StarIndex
-from boresight.star_id.image_attitude import rotation_of
+from boresight.star_id.image_attitude import rotation_from_matrix
 from boresight.star_id.settings import StarSettings
 
 __all__ = [
@@ -279,7 +279,7 @@ def _identification(
     return Identification(
         detections=trial.match.detections,
         stars=trial.match.stars,
-        R_si=rotation_of(trial.R_si),
+        R_si=rotation_from_matrix(trial.R_si),
         distortion=trial.distortion,
         false_alarm_probability=math.exp(max(log_probability, -700.0)),
         log_false_alarm_probability=log_probability,

@@ -6,7 +6,7 @@ from frames import SMALL_CAMERA
 from plain_attitude import attitude_by_scatter
 from scipy.spatial.transform import Rotation
 
-from boresight.star_id.image_attitude import fit_image_attitude, rotation_of
+from boresight.star_id.image_attitude import fit_image_attitude, rotation_from_matrix
 
 SIZE = np.array([SMALL_CAMERA.width_px, SMALL_CAMERA.height_px])
 FALSE_ALARM = 1e-4
@@ -79,5 +79,5 @@ def test_a_rotation_of_a_matrix_is_that_of_scipy_whichever_component_is_the_larg
     quaternions = np.random.default_rng(axis).normal(size=(50, 4)) + 3.0 * np.eye(4)[axis]
     for R in [*Rotation.from_quat(quaternions), Rotation.from_quat(np.eye(4)[axis])]:
         M = R.as_matrix()
-        assert rotation_of(M).as_matrix() == pytest.approx(M, abs=1e-14)  # rounding
-        assert (rotation_of(M) * Rotation.from_matrix(M).inv()).magnitude() < 1e-14
+        assert rotation_from_matrix(M).as_matrix() == pytest.approx(M, abs=1e-14)  # rounding
+        assert (rotation_from_matrix(M) * Rotation.from_matrix(M).inv()).magnitude() < 1e-14
