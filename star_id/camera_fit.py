@@ -116,8 +116,8 @@ def fit_camera(
             raise np.linalg.LinAlgError("the fitted camera cannot image all of the stars")
         R = Rotation.from_rotvec(step.d_rotation) * R
         if k and common_px2 is not None:
-            leverage = step.leverage(weight, stars.frame)
-            before, common = common, common_variance(step.residual[keep], leverage[keep], own[keep], common)
+            leverage, used = step.leverage(weight, stars.frame), keep & step.in_front
+            before, common = common, common_variance(step.residual[used], leverage[used], own[used], common)
             settled = abs(common - before) <= SMALL_CHANGE * before
             variance, weight = own + common, _weights(stars.cov_px, common)
         chi2 = 0.5 * (step.residual**2).sum(axis=1) / variance  # a degree of freedom
@@ -205,6 +205,7 @@ class _Step:
     d_rotation: Floats  # (K, 3)
     cov_camera: Floats  # (F, F)
     residual: Floats  # (N, 2)
+    in_front: Bools  # (N,) a step may carry a star at 90 degrees from the axis behind the camera
     J: Floats  # (N, 2, F) derivatives of the pixels by the camera
     A: Floats  # (N, 2, 3) and by the rotation of the image
     gain: Floats  # (K, 3, F) rotations that explain a part of J
@@ -238,11 +239,12 @@ def _step(
     """`W` (N, 2, 2) are the stars' weights, zero of those left out; `prior_weight` (F,) and `pull` (F,) the
     prior's terms in the camera's normal equations."""
     u_s = np.einsum("nij,nj->ni", R.as_matrix()[stars.frame], stars.u_i)
-    time = stars.t_s[stars.frame]
+    time, in_front = stars.t_s[stars.frame], u_s[:, 2] > 0.0
     projected = _project(theta, camera, u_s, time)
     residual = stars.xy_px - projected.pixels
     J, A = _camera_columns(projected, camera, time, columns), _rotation_columns(projected)
-    products = _products_by_image(np.concatenate([J, A, residual[:, :, None]], axis=2), W, stars)
+    weight = W * in_front[:, None, None]
+    products = _products_by_image(np.concatenate([J, A, residual[:, :, None]], axis=2), weight, stars)
     F = len(columns)
     Naa, Nca, ga = products[:, F:-1, F:-1], products[:, :F, F:-1], products[:, F:-1, -1]
     cov_held = np.asarray(np.linalg.inv(Naa))
@@ -253,7 +255,7 @@ def _step(
     d_rotation = (cov_held @ ga[:, :, None])[:, :, 0] - gain @ d_camera
     cov_camera = np.linalg.inv(normal)
     cov_camera = 0.5 * (cov_camera + cov_camera.T)  # one image hardly separates x0 and p1: rounding matters
-    return _Step(d_camera, d_rotation, cov_camera, residual, J, A, np.asarray(gain), cov_held)
+    return _Step(d_camera, d_rotation, cov_camera, residual, in_front, J, A, np.asarray(gain), cov_held)
 
 
 def _products_by_image(X: Floats, W: Floats, stars: IdentifiedStars) -> Floats:

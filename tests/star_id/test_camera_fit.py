@@ -19,6 +19,7 @@ from boresight.star_id.camera_fit import (
     pixel_derivatives,
     visible_derivatives,
 )
+from boresight.star_id.field import nominal_camera
 from boresight.star_id.lens_misfit import LensEquations
 
 # bolder than the paper's lens: every term of the distortion shows
@@ -152,3 +153,26 @@ def test_a_star_is_an_outlier_where_half_its_squared_residual_exceeds_16_mean_va
     found = fit_camera(stars, CAMERA, R, ("q1",))
     assert found.keep[17] == kept
     assert np.delete(found.keep, 17).all()
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_star_that_a_step_carries_behind_the_camera_spoils_no_fit(seed):
+    """A fisheye images stars up to 90 degrees from its axis; 0.03 degrees less, the start has them beyond."""
+    rng, lens = np.random.default_rng(seed), nominal_camera((2000, 1500), np.radians(172.0), "stereographic")
+    azimuth, noise_px = rng.uniform(0.0, 2.0 * np.pi, 4), 0.05
+    rim = np.column_stack([np.cos(azimuth), np.sin(azimuth), np.full(4, np.radians(0.03))])
+    u_s = rng.normal(size=(2000, 3))
+    u_s = u_s[u_s[:, 2] > 0.0]
+    u_s = np.vstack([u_s[lens.contains(lens.pixels_from_directions(u_s))][:216], rim])
+    u_s /= np.linalg.norm(u_s, axis=1)[:, None]
+    stars = IdentifiedStars(
+        xy_px=lens.pixels_from_directions(u_s) + rng.normal(0.0, noise_px, (len(u_s), 2)),
+        cov_px=np.tile(noise_px**2 * np.eye(2), (len(u_s), 1, 1)),
+        u_i=u_s,
+        frame=np.zeros(len(u_s), dtype=np.int64),
+        t_s=np.zeros(1),
+    )
+    turned = Rotation.from_rotvec([[2e-3, -1e-3, 0.0]])
+    fit = fit_camera(stars, replace(lens, focal_m=1.002 * lens.focal_m), turned, common_px2=0.5)
+    assert fit.keep.mean() > 0.98 and fit.common_px2 < noise_px**2
+    assert fit.camera.focal_m / lens.focal_m == approx(1.0, abs=2e-3)  # one image alone leaves 3e-4
