@@ -56,8 +56,8 @@ LEAST_AGAIN = 0.5  # share of the other dates in which a place is found again; b
 LEAST_COMMON = 3  # places from which the offset between two dates is taken
 OFF_PX, OFF_SIGMAS = 1.0, 3.0  # beyond both of the common offset, a match is of something that has moved
 OVERLAP_PLACES = 20  # of each side of an image that are looked up in the height model
-# 1-sigma by which a place moves between two dates, each axis, px: other shadows and plants. 0.054 px on a pair
-# of Sentinel-2, chips of 64 px; pairs elsewhere had 0.07 px.
+# 1-sigma by which a place moves between two dates, each axis, px: other shadows and plants. 0.054 px on a
+# pair of Sentinel-2, chips of 64 px; pairs elsewhere had 0.07 px.
 SIGMA_OF_DATES_PX = 0.07
 DEGREES = "EPSG:4326"
 LEAST_IN_VIEW = 0.05  # probability below which a strip counts as not showing a candidate
