@@ -11,6 +11,7 @@ METHOD = (NOTES / "method.md").read_text()
 ROW = re.compile(r"^\| \((A?\d+)\) \|[^|]*\| ([^|]*) \|", re.MULTILINE)
 ROOMS = "geometry|star_id|gct_match|calib|simulator|pipeline|features"
 NAME = re.compile(rf"`boresight\.((?:{ROOMS})(?:\.\w+)+)`")
+NAMED_TEST = re.compile(r"`(…|[\w/]*test_\w+\.py)(?:::(test_\w+))?")  # … is the file named before
 LINK = re.compile(r"\]\(([^)#\s]+)(#[\w-]+)?\)")
 
 
@@ -100,3 +101,13 @@ def test_an_api_page_must_hold_every_exported_name_with_its_text():
     assert undocumented(without, ["boresight.geometry.orbit"]) == ["boresight.geometry.orbit.Orbit"]
     silent = page.replace(names["boresight.geometry.orbit.Orbit"], "")
     assert undocumented(silent, ["boresight.geometry.orbit"]) == ["boresight.geometry.orbit.Orbit"]
+
+
+def test_every_test_that_the_faults_name_exists():
+    file, lost = "", []
+    for named, test in NAMED_TEST.findall((NOTES / "faults.md").read_text()):
+        file = file if named == "…" else named
+        found = [path.read_text() for path in (ROOT / "tests").rglob(file)]
+        if not any(f"def {test}" in text for text in found):
+            lost.append(f"{file}::{test}")
+    assert lost == []
