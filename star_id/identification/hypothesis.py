@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 
 from boresight.geometry.attitude_estimate import wahba_matrices
 from boresight.records.record import Floats, Ints, record
@@ -101,6 +102,11 @@ class AcceptedPairs:
     detections: Ints  # (K,)
     stars: Ints  # (K,) rows of the index
     distance: Floats  # (K,) tangent plane
+
+    def is_same_as(self, other: AcceptedPairs) -> bool:
+        """Whether the pairs are the same, whatever their distances."""
+        alike = zip((self.detections, self.stars), (other.detections, other.stars))
+        return all(np.array_equal(own, others) for own, others in alike)
 
 
 def predict_field(
@@ -196,7 +202,10 @@ def refine(
         median = 0.5 * (ordered[(n - 1) // 2] + ordered[n // 2])
         weight = 1.0 / np.hypot(1.0, size / (2.0 * median + 0.05 * image.field.pixel))
         A = (np.array([*_rotation_derivatives(ideal), *by_distortion[:free], residual]) * weight).view(float)
-        step = np.linalg.lstsq(A[:-1].T, A[-1], rcond=1e-10)[0]
+        products = A @ A.T
+        _, step, undetermined = dposv(products[:-1, :-1], products[:-1, -1])
+        if undetermined:
+            break
         R = rotation_matrix(step[:3].tolist()) @ R
         distortion[:free] += step[3:]
     return R, distortion, 3 + free

@@ -235,9 +235,11 @@ def _refined_trial(
             near = nearby_pairs(image, hypothesis, sigma)
         pairs = one_to_one_pairs(image, hypothesis, near, sigma)
         limit = max(3.0 * robust_sigma(pairs.distance, field.pixel), field.pixel)
-        match = match_within(hypothesis, pairs, limit)
+        before, match = match, match_within(hypothesis, pairs, limit)
         if match is None:
             return None
+        if match.is_same_as(before):
+            break
     return _Trial(match, R_si, distortion, _log_ratio(image, pairs, 3 + (fitted - 2) // 2))
 
 
