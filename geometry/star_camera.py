@@ -359,6 +359,8 @@ class StarCamera:
         if self.smooth is not None:
             xy_px = self.smooth.removed(xy_px)
         goal = (_complex(xy_px) - complex(*self.principal_px)) * (self.pixel_m * _MM)
+        if not any((self.p1, self.p2, self.q1, self.q2, self.q3)):
+            return goal
         z = goal
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for _ in range(25):

@@ -112,11 +112,13 @@ class AcceptedPairs:
 def predict_field(
     image: PlaneDetections, index: StarIndex, R: Floats, distortion: Floats
 ) -> AttitudeHypothesis:
-    """Hypothesis with all index stars that may lie in the image, for attitude `R` (3, 3) and `distortion`
-    (4,)."""
+    """Hypothesis with the index stars that may lie in the image and be detected, for attitude `R` (3, 3) and
+    `distortion` (4,)."""
     field = image.field
     corner = math.hypot(field.half_x, field.half_y) * (1.03 + 0.5 * field.shape_error)
-    rows = index.near(R[2], math.atan(corner * math.exp(-distortion[0])))
+    around = math.pi * corner**2 / image.area  # of the area of the image; twice the mean, of sparse fields
+    enough = 2.0 * around * _most_predicted(image)
+    rows = index.near(R[2], math.atan(corner * math.exp(-distortion[0])), enough)
     resolved = index.to_brighter_rad.take(rows) > RESOLVED_PX * field.pixel
     return predict_stars(index, rows.take(resolved.nonzero()[0]), R, distortion)
 
@@ -133,10 +135,13 @@ def predict_stars(index: StarIndex, rows: Ints, R: Floats, distortion: Floats) -
 
 def nearby_pairs(image: PlaneDetections, hypothesis: AttitudeHypothesis, sigma: Floats) -> NearbyPairs:
     """Pairs within five `sigma` (M,), of the brightest predicted stars that so many detections can show."""
-    most = int(STARS_PER_DETECTION * len(image.points)) + 12
-    inside = image.field.contains(hypothesis.predicted).nonzero()[0][:most]
+    inside = image.field.contains(hypothesis.predicted).nonzero()[0][: _most_predicted(image)]
     star, detection = image.within(hypothesis.predicted.take(inside), 5.0 * sigma.take(inside))
     return NearbyPairs(inside.take(star), detection, len(inside))
+
+
+def _most_predicted(image: PlaneDetections) -> int:
+    return int(STARS_PER_DETECTION * len(image.points)) + 12
 
 
 def one_to_one_pairs(

@@ -150,13 +150,15 @@ class StarIndex:
         smaller = [table for table in self.tables if table.fov_rad < nearest.fov_rad]
         return max(smaller, key=lambda table: table.fov_rad, default=None)
 
-    def near(self, direction_i: Floats, radius_rad: float) -> Ints:
+    def near(self, direction_i: Floats, radius_rad: float, enough: float = math.inf) -> Ints:
         """Rows of the stars within `radius_rad` (good to 1e-6) of a unit vector (3,), GCRS axes, brightest
-        first."""
-        chord = 2.0 * math.sin(0.5 * min(radius_rad, math.pi))
+        first; of more than `enough` those that are bright enough for as many of a mean field."""
+        chord, cosine = 2.0 * math.sin(0.5 * min(radius_rad, math.pi)), math.cos(min(radius_rad, math.pi))
         direction = direction_i.astype(np.float32)
+        if (bright := enough / (0.25 * chord * chord)) < len(self.u_i):  # by the share of the sphere
+            return (self.u_i[: int(bright)] @ direction_i > cosine).nonzero()[0]
         first, end = self.u_along_z[:, 2].searchsorted([direction[2] - chord, direction[2] + chord])
-        near = self.u_along_z[first:end] @ direction > math.cos(min(radius_rad, math.pi))
+        near = self.u_along_z[first:end] @ direction > cosine
         return np.sort(self.along_z[first:end].take(near.nonzero()[0]))
 
 
