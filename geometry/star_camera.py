@@ -33,6 +33,7 @@ __all__ = [
     "Projection",
     "SmoothDistortion",
     "StarCamera",
+    "complex_of",
     "legendre_terms",
     "pairs_of",
     "term_orders",
@@ -212,7 +213,7 @@ class StarCamera:
         if u.ndim != 2 or u.shape[1] != 3:
             raise ValueError(f"u_s must have shape (N, 3), got {u.shape}")
         ahead = np.where(u[:, 2] > 0.0, u[:, 2], np.nan)
-        ideal = _complex(u[:, :2]) * (-self.focal_m * _MM / ahead)
+        ideal = complex_of(u[:, :2]) * (-self.focal_m * _MM / ahead)
         if self.projection != "tangent":
             ideal = _radially(ideal, self.focal_m * _MM, _RADIUS_OVER_TANGENT[self.projection])
         actual, own, other = self._distorted(ideal)
@@ -358,7 +359,7 @@ class StarCamera:
         last_mm = math.sqrt(error_mm / _CURVATURE_PER_MM)
         if self.smooth is not None:
             xy_px = self.smooth.removed(xy_px)
-        goal = (_complex(xy_px) - complex(*self.principal_px)) * (self.pixel_m * _MM)
+        goal = (complex_of(xy_px) - complex(*self.principal_px)) * (self.pixel_m * _MM)
         if not any((self.p1, self.p2, self.q1, self.q2, self.q3)):
             return goal
         z = goal
@@ -429,7 +430,7 @@ _TANGENT_OVER_RADIUS: dict[str, Callable[[Floats], Floats]] = {
 }
 
 
-def _complex(points: Floats) -> Complex:
+def complex_of(points: Floats) -> Complex:
     """x + iy of points (N, 2)."""
     return np.ascontiguousarray(points).view(np.complex128)[:, 0]
 
