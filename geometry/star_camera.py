@@ -238,10 +238,10 @@ class StarCamera:
         dactual_dideal[:, 0, 0], dactual_dideal[:, 1, 1] = own + other.real, own - other.real
         dactual_dideal[:, 0, 1] = dactual_dideal[:, 1, 0] = other.imag
         f_mm = self.focal_m * _MM
-        u = _normalised(pairs_of(ideal / -f_mm))
+        u = _normalised(pairs_of(ideal * (-1.0 / f_mm)))
         across = (np.eye(3) - u[:, :, None] * u[:, None, :]) * (u[:, 2] / f_mm)[:, None, None]
         J = -across[:, :, :2] @ _inverse_2x2(dactual_dideal) * (self.pixel_m * _MM)
-        return _normalised(pairs_of(ideal * (-1.0 / f_mm))), J
+        return u, J
 
     def pixel_slopes(self, xy_px: ArrayLike) -> Floats:
         """Derivative of the pixels by direction, (N, 2, 3): `d(column, row) / d u_s`, px, at the directions
