@@ -62,7 +62,7 @@ class IdentifiedStars:
     xy_px: Floats = array("N, 2", "centroids as (column, row)")
     cov_px: Floats = array("N, 2, 2", "covariances of the centroids, px^2")
     u_i: Floats = array("N, 3", "directions, GCRS axes")
-    frame: Ints = array("N", "image of each star, 0 to K - 1")
+    frame: Ints = array("N", "image of each star, 0 to K - 1, ascending")
     t_s: Floats = array("K", "times of the images, s; used for a drift only")
 
 
@@ -104,9 +104,8 @@ def fit_camera(
     units = _units(camera)[columns]
     prior_weight = np.array([unit / prior.get(name, np.inf) for name, unit in zip(free, units)]) ** 2
     first = _vector(expected or camera, camera)[columns]
-    order = np.argsort(stars.frame, kind="stable")
-    images = _Images.of(stars, order)
-    theta, R, keep = _vector(camera), rotations, np.ones(len(order)) > 0.0
+    images = _Images.of(stars)
+    theta, R, keep = _vector(camera), rotations, np.ones(len(stars.u_i)) > 0.0
     common, settled, weights = common_px2 or 0.0, True, images.weights(common_px2 or 0.0)
     for k in range(12):
         pull = prior_weight * (first - theta[columns])
@@ -117,8 +116,7 @@ def fit_camera(
         if not np.isfinite(theta).all() or abs(theta[0]) > _LARGEST_LOG_SCALE:
             raise np.linalg.LinAlgError("the fitted camera cannot image all of the stars")
         R = Rotation.from_rotvec(step.change[:, -3:]) * R
-        in_sigmas = step.in_sigmas
-        if k < 2 and in_sigmas > 1.0:  # from a nominal camera all stars look like outliers
+        if k < 2 and step.in_sigmas > 1.0:  # from a nominal camera all stars look like outliers
             continue
         square = step.residual.real**2 + step.residual.imag**2
         if common_px2 is not None:
@@ -130,14 +128,13 @@ def fit_camera(
         inlier = chi2 < SELDOM_SIGMA**2 * max(1.0, 2.0 * median_of(chi2[keep]) / MEDIAN_CHI2)
         if 2 * inlier.sum() <= len(free) + 3 * len(stars.t_s):  # too few would be left
             inlier = keep
-        if np.array_equal(inlier, keep) and settled and in_sigmas < SMALL_STEP:
+        if np.array_equal(inlier, keep) and settled and step.in_sigmas < SMALL_STEP:
             break
         keep = inlier
     own, other = weights
     total = float((own * square + (other.conj() * step.residual**2).real) @ keep)
     dof = 2 * int(keep.sum()) - len(free) - 3 * len(stars.t_s)
     variance_factor = max(1.0, total / max(dof, 1))
-    as_given = np.argsort(order)
     return CameraFit(
         camera=_camera(theta, camera),
         focal_drift_per_s=float(theta[7]),
@@ -145,8 +142,8 @@ def fit_camera(
         covariance=np.asarray(variance_factor * step.covariance[0, :-3, :-3] * units[:, None] * units),
         variance_factor=variance_factor,
         common_px2=common,
-        residual_px=pairs_of(step.residual[as_given]),
-        keep=keep[as_given],
+        residual_px=pairs_of(step.residual),
+        keep=keep,
         chi2=total,
         dof=dof,
     )
@@ -199,7 +196,7 @@ def detector_grid(camera: StarCamera) -> Floats:
 
 @record(kw_only=True)
 class _Images:
-    """Stars sorted by image. Points are x + iy, and symmetric matrices (own, other): they take a point d to
+    """Stars of K images. Points are x + iy, and symmetric matrices (own, other): they take a point d to
     own d + other conj(d)."""
 
     xy: Complex  # (N,) centroids
@@ -210,18 +207,16 @@ class _Images:
     time: Floats | float  # (N,) from the mean of the images', s
 
     @classmethod
-    def of(cls, stars: IdentifiedStars, order: Ints) -> _Images:
-        """Of the stars in the `order` (N,) of their images."""
-        frame, cov = stars.frame[order], stars.cov_px[order]
-        ends = np.searchsorted(frame, np.arange(len(stars.t_s) + 1)).tolist()
-        x2, y2 = cov[:, 0, 0], cov[:, 1, 1]
+    def of(cls, stars: IdentifiedStars) -> _Images:
+        ends = np.searchsorted(stars.frame, np.arange(len(stars.t_s) + 1)).tolist()
+        (x2, xy, _, y2), from_mean_s = stars.cov_px.reshape(-1, 4).T, stars.t_s - stars.t_s.mean()
         return cls(
-            xy=complex_of(stars.xy_px[order]),
-            u_i=stars.u_i[order],
+            xy=complex_of(stars.xy_px),
+            u_i=stars.u_i,
             own=0.5 * (x2 + y2),
-            other=0.5 * (x2 - y2) + 1j * cov[:, 0, 1],
+            other=0.5 * (x2 - y2) + 1j * xy,
             parts=[slice(*part) for part in pairwise(ends)],
-            time=(stars.t_s - stars.t_s.mean())[frame] if len(ends) > 2 else 0.0,
+            time=from_mean_s[stars.frame] if len(stars.t_s) > 1 else 0.0,
         )
 
     def weights(self, common_px2: float) -> tuple[Floats, Complex]:
@@ -231,7 +226,7 @@ class _Images:
         return own / determinant, -self.other / determinant
 
 
-@record(kw_only=True)
+@record
 class _Step:
     """One Gauss-Newton step with the rotations eliminated, and the residuals before it."""
 
@@ -249,8 +244,8 @@ class _Step:
 
     def leverage(self, images: _Images) -> Floats:
         """(N,) trace of each star's part in the fit."""
-        fitted = [cov @ _numbers(self.design[:, part]) for cov, part in zip(self.covariance, images.parts)]
-        by_axis = np.einsum("pn,pn->n", np.concatenate(fitted, axis=1), _numbers(self.weighted))
+        fitted = [cov @ self.design[:, part].view(float) for cov, part in zip(self.covariance, images.parts)]
+        by_axis = np.einsum("pn,pn->n", np.concatenate(fitted, axis=1), self.weighted.view(float))
         return by_axis[::2] + by_axis[1::2]
 
 
@@ -264,8 +259,8 @@ def _step(
     prior_weight: Floats,
     pull: Floats,
 ) -> _Step:
-    """`weights` are the stars', as of `_Images.weights`, zero of those left out; `prior_weight` (F,) and
-    `pull` (F,) the prior's terms in the camera's normal equations."""
+    """`weights` are the stars', zero of those left out; `prior_weight` (F,) and `pull` (F,) the prior's terms
+    in the camera's normal equations."""
     u_s = np.concatenate([images.u_i[part] @ turn.T for part, turn in zip(images.parts, R.as_matrix())])
     in_front, F = u_s[:, 2] > 0.0, len(columns)
     projected = _project(theta, camera, u_s, images.time)
@@ -273,7 +268,7 @@ def _step(
     X = _filled([*moved, images.xy - projected.pixels], len(u_s))
     own, other = (weight * in_front for weight in weights)
     WX = own * X + other * X.conj()
-    products = np.array([_numbers(X[:, part]) @ _numbers(WX[:, part]).T for part in images.parts])
+    products = np.array([X[:, part].view(float) @ WX[:, part].view(float).T for part in images.parts])
     by_rotation = products[:, F:-1]
     held = np.linalg.inv(by_rotation[:, :, F:-1])  # covariances of rotations, by a camera without error
     gain = held @ by_rotation[:, :, :F]  # (K, 3, F) rotations that explain a part of the camera's rows
@@ -285,19 +280,7 @@ def _step(
     change[:, F:] += (held @ by_rotation[:, :, -1:])[:, :, 0]
     covariance = free @ cov_camera @ free.transpose(0, 2, 1)
     covariance[:, F:, F:] += held
-    return _Step(
-        change=change,
-        covariance=covariance,
-        residual=X[-1],
-        in_front=in_front,
-        design=X[:-1],
-        weighted=WX[:-1],
-    )
-
-
-def _numbers(points: Complex) -> Floats:
-    """(M, 2 N) x and y of points (M, N)."""
-    return points.view(np.float64)
+    return _Step(change, covariance, X[-1], in_front, X[:-1], WX[:-1])
 
 
 @record
@@ -404,18 +387,10 @@ def _vector(camera: StarCamera, nominal: StarCamera | None = None) -> Floats:
 
 
 def _camera(theta: Floats, nominal: StarCamera) -> StarCamera:
-    numbers = theta * _units(nominal)
-    x0, y0, p1, p2, q1, q2, _, q3 = (float(number) for number in numbers[1:])
-    return replace(
-        nominal,
-        focal_m=float(nominal.focal_m * np.exp(theta[0])),
-        principal_px=(x0, y0),
-        p1=p1,
-        p2=p2,
-        q1=q1,
-        q2=q2,
-        q3=q3,
-    )
+    x0, y0, p1, p2, q1, q2, _, q3 = (theta * _units(nominal))[1:].tolist()
+    distortion = {"p1": p1, "p2": p2, "q1": q1, "q2": q2, "q3": q3}
+    focal_m = float(nominal.focal_m * np.exp(theta[0]))
+    return replace(nominal, focal_m=focal_m, principal_px=(x0, y0), **distortion)
 
 
 def _units(camera: StarCamera) -> Floats:

@@ -103,11 +103,6 @@ class AcceptedPairs:
     stars: Ints  # (K,) rows of the index
     distance: Floats  # (K,) tangent plane
 
-    def is_same_as(self, other: AcceptedPairs) -> bool:
-        """Whether the pairs are the same, whatever their distances."""
-        alike = zip((self.detections, self.stars), (other.detections, other.stars))
-        return all(np.array_equal(own, others) for own, others in alike)
-
 
 def predict_field(
     image: PlaneDetections, index: StarIndex, R: Floats, distortion: Floats

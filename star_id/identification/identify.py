@@ -238,7 +238,7 @@ def _refined_trial(
         before, match = match, match_within(hypothesis, pairs, limit)
         if match is None:
             return None
-        if match.is_same_as(before):
+        if np.array_equal([match.stars, match.detections], [before.stars, before.detections]):
             break
     return _Trial(match, R_si, distortion, _log_ratio(image, pairs, 3 + (fitted - 2) // 2))
 
