@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from typing import Literal, get_args
 
@@ -271,10 +272,8 @@ class StarCamera:
         f_px = self.focal_m / self.pixel_m
         x0, y0 = self.principal_px
         k = [self.q1 * f**2, self.q2 * f**4, self.p2 * f, self.p1 * f, self.q3 * f**6]
-        return OpenCVParameters(
-            camera_matrix=np.array([[f_px, 0.0, x0], [0.0, f_px, y0], [0.0, 0.0, 1.0]]),
-            distortion=np.array(k if self.q3 else k[:4]),
-        )
+        matrix = np.array([[f_px, 0.0, x0], [0.0, f_px, y0], [0.0, 0.0, 1.0]])
+        return OpenCVParameters(matrix, np.array(k if self.q3 else k[:4]))
 
     @classmethod
     def from_opencv(
@@ -305,18 +304,11 @@ class StarCamera:
             raise ValueError(f"distortion: k1, k2, p1, p2, k3 expected, got further ones: {more}")
         focal_m = float(np.sqrt(f_x * f_y)) * pixel_m
         f = focal_m * _MM
-        return cls(
-            focal_m=focal_m,
-            pixel_m=pixel_m,
-            width_px=size_px[0],
-            height_px=size_px[1],
-            principal_px=(x0, y0),
-            p1=p2 / f,
-            p2=p1 / f,
-            q1=k1 / f**2,
-            q2=k2 / f**4,
-            q3=k3 / f**6,
+        width, height = size_px
+        pinhole = cls(
+            focal_m=focal_m, pixel_m=pixel_m, width_px=width, height_px=height, principal_px=(x0, y0)
         )
+        return replace(pinhole, p1=p2 / f, p2=p1 / f, q1=k1 / f**2, q2=k2 / f**4, q3=k3 / f**6)
 
     def _distorted(self, z: Complex) -> tuple[Complex, Floats, Complex]:
         """Distorted points of ideal points z = x + iy, mm (eq. 4); derivatives by z and by its conjugate.

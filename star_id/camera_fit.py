@@ -157,8 +157,9 @@ def pixel_derivatives(
     distortion's own slope, a thousandth, are left out.)"""
     columns = [_ALL.index(name) for name in free]
     projected = _project(_vector(camera), camera, u_s, 0.0)
-    by_camera = _by_star(_camera_rows(projected, camera, 0.0, columns)) / _units(camera)[columns]
-    return by_camera, _by_star(_rotation_rows(projected))
+    rows = np.concatenate([_camera_rows(projected, camera, 0.0, columns), _rotation_rows(projected)])
+    both = np.stack([rows.real.T, rows.imag.T], axis=1)
+    return both[:, :, :-3] / _units(camera)[columns], both[:, :, -3:]
 
 
 def visible_derivatives(
@@ -371,11 +372,6 @@ def _filled(moved: Sequence[Complex | complex], count: int) -> Complex:
     for row, points in zip(rows, moved):
         row[:] = points
     return rows
-
-
-def _by_star(rows: Complex) -> Floats:
-    """(N, 2, F) derivatives from displacements (F, N)."""
-    return np.stack([rows.real.T, rows.imag.T], axis=1)
 
 
 def _vector(camera: StarCamera, nominal: StarCamera | None = None) -> Floats:

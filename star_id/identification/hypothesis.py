@@ -111,8 +111,8 @@ def predict_field(
     `distortion` (4,)."""
     field = image.field
     corner = math.hypot(field.half_x, field.half_y) * (1.03 + 0.5 * field.shape_error)
-    around = math.pi * corner**2 / image.area  # of the area of the image; twice the mean, of sparse fields
-    enough = 2.0 * around * _most_predicted(image)
+    # around the image, of a field twice as sparse as the mean
+    enough = 2.0 * _most_predicted(image) * math.pi * corner**2 / image.area
     rows = index.near(R[2], math.atan(corner * math.exp(-distortion[0])), enough)
     resolved = index.to_brighter_rad.take(rows) > RESOLVED_PX * field.pixel
     return predict_stars(index, rows.take(resolved.nonzero()[0]), R, distortion)
