@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from typing import Literal, get_args
 
@@ -33,6 +34,7 @@ __all__ = [
     "Projection",
     "SmoothDistortion",
     "StarCamera",
+    "complex_of",
     "legendre_terms",
     "pairs_of",
     "term_orders",
@@ -212,7 +214,7 @@ class StarCamera:
         if u.ndim != 2 or u.shape[1] != 3:
             raise ValueError(f"u_s must have shape (N, 3), got {u.shape}")
         ahead = np.where(u[:, 2] > 0.0, u[:, 2], np.nan)
-        ideal = _complex(u[:, :2]) * (-self.focal_m * _MM / ahead)
+        ideal = complex_of(u[:, :2]) * (-self.focal_m * _MM / ahead)
         if self.projection != "tangent":
             ideal = _radially(ideal, self.focal_m * _MM, _RADIUS_OVER_TANGENT[self.projection])
         actual, own, other = self._distorted(ideal)
@@ -237,10 +239,10 @@ class StarCamera:
         dactual_dideal[:, 0, 0], dactual_dideal[:, 1, 1] = own + other.real, own - other.real
         dactual_dideal[:, 0, 1] = dactual_dideal[:, 1, 0] = other.imag
         f_mm = self.focal_m * _MM
-        u = _normalised(pairs_of(ideal / -f_mm))
+        u = _normalised(pairs_of(ideal * (-1.0 / f_mm)))
         across = (np.eye(3) - u[:, :, None] * u[:, None, :]) * (u[:, 2] / f_mm)[:, None, None]
         J = -across[:, :, :2] @ _inverse_2x2(dactual_dideal) * (self.pixel_m * _MM)
-        return _normalised(pairs_of(ideal * (-1.0 / f_mm))), J
+        return u, J
 
     def pixel_slopes(self, xy_px: ArrayLike) -> Floats:
         """Derivative of the pixels by direction, (N, 2, 3): `d(column, row) / d u_s`, px, at the directions
@@ -270,10 +272,8 @@ class StarCamera:
         f_px = self.focal_m / self.pixel_m
         x0, y0 = self.principal_px
         k = [self.q1 * f**2, self.q2 * f**4, self.p2 * f, self.p1 * f, self.q3 * f**6]
-        return OpenCVParameters(
-            camera_matrix=np.array([[f_px, 0.0, x0], [0.0, f_px, y0], [0.0, 0.0, 1.0]]),
-            distortion=np.array(k if self.q3 else k[:4]),
-        )
+        matrix = np.array([[f_px, 0.0, x0], [0.0, f_px, y0], [0.0, 0.0, 1.0]])
+        return OpenCVParameters(matrix, np.array(k if self.q3 else k[:4]))
 
     @classmethod
     def from_opencv(
@@ -304,18 +304,11 @@ class StarCamera:
             raise ValueError(f"distortion: k1, k2, p1, p2, k3 expected, got further ones: {more}")
         focal_m = float(np.sqrt(f_x * f_y)) * pixel_m
         f = focal_m * _MM
-        return cls(
-            focal_m=focal_m,
-            pixel_m=pixel_m,
-            width_px=size_px[0],
-            height_px=size_px[1],
-            principal_px=(x0, y0),
-            p1=p2 / f,
-            p2=p1 / f,
-            q1=k1 / f**2,
-            q2=k2 / f**4,
-            q3=k3 / f**6,
+        width, height = size_px
+        pinhole = cls(
+            focal_m=focal_m, pixel_m=pixel_m, width_px=width, height_px=height, principal_px=(x0, y0)
         )
+        return replace(pinhole, p1=p2 / f, p2=p1 / f, q1=k1 / f**2, q2=k2 / f**4, q3=k3 / f**6)
 
     def _distorted(self, z: Complex) -> tuple[Complex, Floats, Complex]:
         """Distorted points of ideal points z = x + iy, mm (eq. 4); derivatives by z and by its conjugate.
@@ -358,7 +351,9 @@ class StarCamera:
         last_mm = math.sqrt(error_mm / _CURVATURE_PER_MM)
         if self.smooth is not None:
             xy_px = self.smooth.removed(xy_px)
-        goal = (_complex(xy_px) - complex(*self.principal_px)) * (self.pixel_m * _MM)
+        goal = (complex_of(xy_px) - complex(*self.principal_px)) * (self.pixel_m * _MM)
+        if not any((self.p1, self.p2, self.q1, self.q2, self.q3)):
+            return goal
         z = goal
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             for _ in range(25):
@@ -427,7 +422,7 @@ _TANGENT_OVER_RADIUS: dict[str, Callable[[Floats], Floats]] = {
 }
 
 
-def _complex(points: Floats) -> Complex:
+def complex_of(points: Floats) -> Complex:
     """x + iy of points (N, 2)."""
     return np.ascontiguousarray(points).view(np.complex128)[:, 0]
 

@@ -239,9 +239,8 @@ def _reliable(
         stars, rows = frames[k].stars, solution.rows
         reliable = select_for_calibration(stars.centroids, solution.detections, rows, camera, index, settings)
         observer = frames[k].observer
-        reliable &= (
-            solution.R_si.apply(index.u_i[rows])[:, 2] > LEAST_FORWARD
-        )  # others may lie behind the camera
+        # others may lie behind the camera
+        reliable &= solution.R_si.apply(index.u_i[rows])[:, 2] > LEAST_FORWARD
         xy.append(solution.xy_px[reliable])
         years = settings.epoch_error_years if observer is None else 0.0
         moved = proper_motion_covariance(index, rows[reliable], solution.camera, solution.R_si, years)

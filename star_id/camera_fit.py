@@ -12,14 +12,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from boresight.geometry.star_camera import Complex, StarCamera, legendre_terms, pairs_of
+from boresight.geometry.star_camera import Complex, StarCamera, complex_of, legendre_terms, pairs_of
 from boresight.records.record import Bools, Floats, Ints, array, record, scalar
 from boresight.star_id.beyond_chance import MEDIAN_CHI2, SELDOM_SIGMA
 from boresight.star_id.common_variance import SMALL_CHANGE, common_variance
+from boresight.star_id.finding.background import median_of
 
 __all__ = [
     "DRIFT",
@@ -60,7 +62,7 @@ class IdentifiedStars:
     xy_px: Floats = array("N, 2", "centroids as (column, row)")
     cov_px: Floats = array("N, 2, 2", "covariances of the centroids, px^2")
     u_i: Floats = array("N, 3", "directions, GCRS axes")
-    frame: Ints = array("N", "image of each star, 0 to K - 1")
+    frame: Ints = array("N", "image of each star, 0 to K - 1, ascending")
     t_s: Floats = array("K", "times of the images, s; used for a drift only")
 
 
@@ -102,45 +104,45 @@ def fit_camera(
     units = _units(camera)[columns]
     prior_weight = np.array([unit / prior.get(name, np.inf) for name, unit in zip(free, units)]) ** 2
     first = _vector(expected or camera, camera)[columns]
-    stars = replace(stars, t_s=stars.t_s - stars.t_s.mean())
-    theta, R, keep = _vector(camera), rotations, np.ones(len(stars.xy_px), dtype=bool)
-    own, common, settled = 0.5 * np.trace(stars.cov_px, axis1=1, axis2=2), common_px2 or 0.0, True
-    variance, weight = own + common, _weights(stars.cov_px, common)
+    images = _Images.of(stars)
+    theta, R, keep = _vector(camera), rotations, np.ones(len(stars.u_i)) > 0.0
+    common, settled, weights = common_px2 or 0.0, True, images.weights(common_px2 or 0.0)
     for k in range(12):
         pull = prior_weight * (first - theta[columns])
         with np.errstate(over="ignore", invalid="ignore"):  # of a fit that diverges
-            step = _step(theta, R, camera, stars, weight * keep[:, None, None], columns, prior_weight, pull)
+            step = _step(theta, R, camera, images, [w * keep for w in weights], columns, prior_weight, pull)
         theta = theta.copy()
-        theta[columns] += step.d_camera
+        theta[columns] += step.change[0, :-3]
         if not np.isfinite(theta).all() or abs(theta[0]) > _LARGEST_LOG_SCALE:
             raise np.linalg.LinAlgError("the fitted camera cannot image all of the stars")
-        R = Rotation.from_rotvec(step.d_rotation) * R
-        if k and common_px2 is not None:
-            leverage, used = step.leverage(weight, stars.frame), keep & step.in_front
-            before, common = common, common_variance(step.residual[used], leverage[used], own[used], common)
-            settled = abs(common - before) <= SMALL_CHANGE * before
-            variance, weight = own + common, _weights(stars.cov_px, common)
-        chi2 = 0.5 * (step.residual**2).sum(axis=1) / variance  # a degree of freedom
-        if k < 2:  # from a nominal camera all stars look like outliers
+        R = Rotation.from_rotvec(step.change[:, -3:]) * R
+        if k < 2 and step.in_sigmas > 1.0:  # from a nominal camera all stars look like outliers
             continue
-        inlier = chi2 < SELDOM_SIGMA**2 * max(1.0, 2.0 * float(np.median(chi2[keep])) / MEDIAN_CHI2)
+        square = step.residual.real**2 + step.residual.imag**2
+        if common_px2 is not None:
+            used, before = keep & step.in_front, common
+            common = common_variance(square[used], step.leverage(images)[used], images.own[used], common)
+            settled = abs(common - before) <= SMALL_CHANGE * before
+            weights = images.weights(common)
+        chi2 = 0.5 * square / (images.own + common)  # a degree of freedom
+        inlier = chi2 < SELDOM_SIGMA**2 * max(1.0, 2.0 * median_of(chi2[keep]) / MEDIAN_CHI2)
         if 2 * inlier.sum() <= len(free) + 3 * len(stars.t_s):  # too few would be left
             inlier = keep
         if np.array_equal(inlier, keep) and settled and step.in_sigmas < SMALL_STEP:
             break
         keep = inlier
-    residual = step.residual[keep]
-    total = float(np.einsum("ni,nij,nj->", residual, weight[keep], residual))
+    own, other = weights
+    total = float((own * square + (other.conj() * step.residual**2).real) @ keep)
     dof = 2 * int(keep.sum()) - len(free) - 3 * len(stars.t_s)
     variance_factor = max(1.0, total / max(dof, 1))
     return CameraFit(
         camera=_camera(theta, camera),
         focal_drift_per_s=float(theta[7]),
         rotations=R,
-        covariance=np.asarray(variance_factor * step.cov_camera * units[:, None] * units),
+        covariance=np.asarray(variance_factor * step.covariance[0, :-3, :-3] * units[:, None] * units),
         variance_factor=variance_factor,
         common_px2=common,
-        residual_px=step.residual,
+        residual_px=pairs_of(step.residual),
         keep=keep,
         chi2=total,
         dof=dof,
@@ -155,8 +157,9 @@ def pixel_derivatives(
     distortion's own slope, a thousandth, are left out.)"""
     columns = [_ALL.index(name) for name in free]
     projected = _project(_vector(camera), camera, u_s, 0.0)
-    by_camera = _camera_columns(projected, camera, 0.0, columns) / _units(camera)[columns]
-    return by_camera, _rotation_columns(projected)
+    rows = np.concatenate([_camera_rows(projected, camera, 0.0, columns), _rotation_rows(projected)])
+    both = np.stack([rows.real.T, rows.imag.T], axis=1)
+    return both[:, :, :-3] / _units(camera)[columns], both[:, :, -3:]
 
 
 def visible_derivatives(
@@ -192,79 +195,93 @@ def detector_grid(camera: StarCamera) -> Floats:
     return xy[np.isfinite(camera.directions_from_pixels(xy)[:, 2])]
 
 
-def _weights(cov_px: Floats, common_px2: float) -> Floats:
-    """(N, 2, 2) inverse covariances, a variance common to all stars included."""
-    return np.asarray(np.linalg.inv(cov_px + common_px2 * np.eye(2)))
+@record(kw_only=True)
+class _Images:
+    """Stars of K images. Points are x + iy, and symmetric matrices (own, other): they take a point d to
+    own d + other conj(d)."""
+
+    xy: Complex  # (N,) centroids
+    u_i: Floats  # (N, 3)
+    own: Floats  # (N,) of the centroids' covariances: mean of both variances
+    other: Complex  # (N,) and half of their difference, plus i times the covariance
+    parts: list[slice]  # rows of each image
+    time: Floats | float  # (N,) from the mean of the images', s
+
+    @classmethod
+    def of(cls, stars: IdentifiedStars) -> _Images:
+        ends = np.searchsorted(stars.frame, np.arange(len(stars.t_s) + 1)).tolist()
+        (x2, xy, _, y2), from_mean_s = stars.cov_px.reshape(-1, 4).T, stars.t_s - stars.t_s.mean()
+        return cls(
+            xy=complex_of(stars.xy_px),
+            u_i=stars.u_i,
+            own=0.5 * (x2 + y2),
+            other=0.5 * (x2 - y2) + 1j * xy,
+            parts=[slice(*part) for part in pairwise(ends)],
+            time=from_mean_s[stars.frame] if len(stars.t_s) > 1 else 0.0,
+        )
+
+    def weights(self, common_px2: float) -> tuple[Floats, Complex]:
+        """Inverse covariances, a variance common to all stars included."""
+        own = self.own + common_px2
+        determinant = own * own - self.other.real**2 - self.other.imag**2
+        return own / determinant, -self.other / determinant
 
 
 @record
 class _Step:
     """One Gauss-Newton step with the rotations eliminated, and the residuals before it."""
 
-    d_camera: Floats  # (F,)
-    d_rotation: Floats  # (K, 3)
-    cov_camera: Floats  # (F, F)
-    residual: Floats  # (N, 2)
+    change: Floats  # (K, F + 3) of the camera, the same for each image, and of its rotation
+    covariance: Floats  # (K, F + 3, F + 3) of the same
+    residual: Complex  # (N,)
     in_front: Bools  # (N,) a step may carry a star at 90 degrees from the axis behind the camera
-    J: Floats  # (N, 2, F) derivatives of the pixels by the camera
-    A: Floats  # (N, 2, 3) and by the rotation of the image
-    gain: Floats  # (K, 3, F) rotations that explain a part of J
-    cov_held: Floats  # (K, 3, 3) of rotations, by a camera without error
+    design: Complex  # (F + 3, N) derivatives of the pixels by the camera and by the rotation of the image
+    weighted: Complex  # (F + 3, N) the same, times the weights
 
     @property
     def in_sigmas(self) -> float:
         """The largest component of the step, in units of its standard error."""
-        cov_rotation = self.cov_held + self.gain @ self.cov_camera @ self.gain.transpose(0, 2, 1)
-        sigma = np.sqrt(np.append(np.diag(self.cov_camera), np.einsum("kii->ki", cov_rotation)))
-        return float(np.abs(np.append(self.d_camera, self.d_rotation) / sigma).max())
+        return float((np.abs(self.change) / np.sqrt(np.einsum("kpp->kp", self.covariance))).max())
 
-    def leverage(self, W: Floats, frame: Ints) -> Floats:
-        """(N,) trace of each star's part in the fit, by the weights (N, 2, 2) and images (N,)."""
-        J = self.J - self.A @ self.gain[frame]
-        fitted = J @ self.cov_camera @ J.transpose(0, 2, 1)
-        fitted += self.A @ self.cov_held[frame] @ self.A.transpose(0, 2, 1)
-        return np.einsum("nij,nji->n", fitted, W)
+    def leverage(self, images: _Images) -> Floats:
+        """(N,) trace of each star's part in the fit."""
+        fitted = [cov @ self.design[:, part].view(float) for cov, part in zip(self.covariance, images.parts)]
+        by_axis = np.einsum("pn,pn->n", np.concatenate(fitted, axis=1), self.weighted.view(float))
+        return by_axis[::2] + by_axis[1::2]
 
 
 def _step(
     theta: Floats,
     R: Rotation,
     camera: StarCamera,
-    stars: IdentifiedStars,
-    W: Floats,
+    images: _Images,
+    weights: Sequence[Any],
     columns: list[int],
     prior_weight: Floats,
     pull: Floats,
 ) -> _Step:
-    """`W` (N, 2, 2) are the stars' weights, zero of those left out; `prior_weight` (F,) and `pull` (F,) the
-    prior's terms in the camera's normal equations."""
-    u_s = np.einsum("nij,nj->ni", R.as_matrix()[stars.frame], stars.u_i)
-    time, in_front = stars.t_s[stars.frame], u_s[:, 2] > 0.0
-    projected = _project(theta, camera, u_s, time)
-    residual = stars.xy_px - projected.pixels
-    J, A = _camera_columns(projected, camera, time, columns), _rotation_columns(projected)
-    weight = W * in_front[:, None, None]
-    products = _products_by_image(np.concatenate([J, A, residual[:, :, None]], axis=2), weight, stars)
-    F = len(columns)
-    Naa, Nca, ga = products[:, F:-1, F:-1], products[:, :F, F:-1], products[:, F:-1, -1]
-    cov_held = np.asarray(np.linalg.inv(Naa))
-    gain = cov_held @ Nca.transpose(0, 2, 1)  # (K, 3, F)
-    normal = products[:, :F, :F].sum(axis=0) - (Nca @ gain).sum(axis=0) + np.diag(prior_weight)
-    g = products[:, :F, -1].sum(axis=0) - np.einsum("kap,ka->p", gain, ga) + pull
-    d_camera = np.linalg.solve(normal, g)
-    d_rotation = (cov_held @ ga[:, :, None])[:, :, 0] - gain @ d_camera
-    cov_camera = np.linalg.inv(normal)
+    """`weights` are the stars', zero of those left out; `prior_weight` (F,) and `pull` (F,) the prior's terms
+    in the camera's normal equations."""
+    u_s = np.concatenate([images.u_i[part] @ turn.T for part, turn in zip(images.parts, R.as_matrix())])
+    in_front, F = u_s[:, 2] > 0.0, len(columns)
+    projected = _project(theta, camera, u_s, images.time)
+    moved = *_camera_rows(projected, camera, images.time, columns), *_rotation_rows(projected)
+    X = _filled([*moved, images.xy - projected.pixels], len(u_s))
+    own, other = (weight * in_front for weight in weights)
+    WX = own * X + other * X.conj()
+    products = np.array([X[:, part].view(float) @ WX[:, part].view(float).T for part in images.parts])
+    by_rotation = products[:, F:-1]
+    held = np.linalg.inv(by_rotation[:, :, F:-1])  # covariances of rotations, by a camera without error
+    gain = held @ by_rotation[:, :, :F]  # (K, 3, F) rotations that explain a part of the camera's rows
+    free = np.concatenate([np.broadcast_to(np.eye(F), (len(gain), F, F)), -gain], axis=1)
+    normal = (free.transpose(0, 2, 1) @ products[:, :-1]).sum(axis=0)  # rotations eliminated
+    cov_camera = np.linalg.inv(normal[:, :F] + np.diag(prior_weight))
     cov_camera = 0.5 * (cov_camera + cov_camera.T)  # one image hardly separates x0 and p1: rounding matters
-    return _Step(d_camera, d_rotation, cov_camera, residual, in_front, J, A, np.asarray(gain), cov_held)
-
-
-def _products_by_image(X: Floats, W: Floats, stars: IdentifiedStars) -> Floats:
-    """Sums (K, M, M) of Xᵀ W X over the stars of each image, of X (N, 2, M) and weights W (N, 2, 2)."""
-    order = np.argsort(stars.frame, kind="stable")
-    ends = 2 * np.searchsorted(stars.frame, np.arange(len(stars.t_s) + 1), sorter=order)
-    X = X[order]
-    flat, weighted = (part.reshape(-1, X.shape[2]) for part in (X, W[order] @ X))
-    return np.array([flat[a:b].T @ weighted[a:b] for a, b in pairwise(ends.tolist())])
+    change = free @ (cov_camera @ (normal[:, -1] + pull))
+    change[:, F:] += (held @ by_rotation[:, :, -1:])[:, :, 0]
+    covariance = free @ cov_camera @ free.transpose(0, 2, 1)
+    covariance[:, F:, F:] += held
+    return _Step(change, covariance, X[-1], in_front, X[:-1], WX[:-1])
 
 
 @record
@@ -273,7 +290,7 @@ class _Projected:
     log-f drift (1/s), q3 f^6. Distortion acts on coordinates divided by the nominal focal length, so all are
     of order one. Points and displacements are x + iy, as in `StarCamera`."""
 
-    pixels: Floats  # (N, 2)
+    pixels: Complex  # (N,)
     tangent: Complex  # (N,) tangent plane
     t: Complex  # (N,) undistorted coordinates: projected, times relative focal length
     own: Complex  # (N,) d(pixels) / d(t)
@@ -285,19 +302,21 @@ class _Projected:
 def _project(theta: Floats, camera: StarCamera, u_s: Floats, time: Floats | float) -> _Projected:
     f0, p = camera.focal_m / camera.pixel_m, complex(theta[3], theta[4])
     q1, q2, q3 = theta[[5, 6, 8]].tolist()
-    scale = np.exp(theta[0] + theta[7] * np.asarray(time))
-    tangent = np.ascontiguousarray(u_s[:, :2] / -u_s[:, 2:]).view(np.complex128)[:, 0]
+    scale = np.exp(theta[0] + theta[7] * time)
+    tangent = complex_of(u_s[:, :2] / -u_s[:, 2:])
     projected, own_t, other_t = _projected_tangents(camera, tangent)
     t = projected * scale
     r2, sideways = t.real * t.real + t.imag * t.imag, 2.0 * (p.real * t.real + p.imag * t.imag)
     s = r2 * (q1 + r2 * (q2 + r2 * q3)) + (sideways + 1.0)
     slope = q1 + r2 * (2.0 * q2 + 3.0 * r2 * q3)
     own, other = f0 * (s + r2 * slope + sideways), f0 * t * (slope * t + 2.0 * p)
-    pixels = theta[1:3] + pairs_of(f0 * (s * t + r2 * p))
+    pixels = f0 * (s * t + r2 * p) + complex(theta[1], theta[2])
     if camera.smooth is not None:
-        pixels = camera.smooth.applied(pixels)
-    by_tangent = scale * (own * own_t + other * np.conj(other_t)), scale * (own * other_t + other * own_t)
-    return _Projected(pixels, tangent, t, own, other, *by_tangent)
+        pixels = complex_of(camera.smooth.applied(pairs_of(pixels)))
+    by_tangent = own, other
+    if camera.projection != "tangent":
+        by_tangent = own * own_t + other * np.conj(other_t), own * other_t + other * own_t
+    return _Projected(pixels, tangent, t, own, other, *(scale * by for by in by_tangent))
 
 
 def _projected_tangents(
@@ -318,10 +337,10 @@ def _projected_tangents(
     return tangent * ratio, ratio + 0.5 * slope * r2, 0.5 * slope * tangent * tangent
 
 
-def _camera_columns(
+def _camera_rows(
     projected: _Projected, camera: StarCamera, time: Floats | float, columns: list[int] | range
-) -> Floats:
-    """(N, 2, F) derivatives of the pixels by theta."""
+) -> Complex:
+    """(F, N) derivatives of the pixels by theta."""
     t, f0 = projected.t, camera.focal_m / camera.pixel_m
     r2, square = t.real * t.real + t.imag * t.imag, t * t
     by_scale = projected.own * t + projected.other * np.conj(t)
@@ -337,23 +356,22 @@ def _camera_columns(
         by_scale * time,
         r2 * r2 * radial,
     )
-    return _as_columns([by_all[k] for k in columns], len(t))
+    return _filled([by_all[k] for k in columns], len(t))
 
 
-def _rotation_columns(projected: _Projected) -> Floats:
-    """(N, 2, 3) derivatives of the pixels by a right-handed rotation about the axes of s: du = e x u."""
+def _rotation_rows(projected: _Projected) -> Complex:
+    """(3, N) derivatives of the pixels by a right-handed rotation about the axes of s: du = e x u."""
     t = projected.tangent
-    by_rotation = 1.0j + t.imag * t, -1.0 - t.real * t, 1.0j * t
-    moved = (projected.own_tangent * dt + projected.other_tangent * np.conj(dt) for dt in by_rotation)
-    return _as_columns(list(moved), len(t))
+    dt = _filled([1.0j + t.imag * t, -1.0 - t.real * t, 1.0j * t], len(t))
+    return np.asarray(projected.own_tangent * dt + projected.other_tangent * np.conj(dt))
 
 
-def _as_columns(moved: Sequence[Complex | complex], count: int) -> Floats:
-    """(N, 2, F) derivatives from displacements x + iy, each (N,) or common to all N points."""
-    rows = np.empty((count, len(moved)), dtype=np.complex128)
-    for k, column in enumerate(moved):
-        rows[:, k] = column
-    return np.stack([rows.real, rows.imag], axis=1)
+def _filled(moved: Sequence[Complex | complex], count: int) -> Complex:
+    """(F, N) displacements x + iy, each (N,) or common to all N points."""
+    rows = np.empty((len(moved), count), dtype=np.complex128)
+    for row, points in zip(rows, moved):
+        row[:] = points
+    return rows
 
 
 def _vector(camera: StarCamera, nominal: StarCamera | None = None) -> Floats:
@@ -365,18 +383,10 @@ def _vector(camera: StarCamera, nominal: StarCamera | None = None) -> Floats:
 
 
 def _camera(theta: Floats, nominal: StarCamera) -> StarCamera:
-    numbers = theta * _units(nominal)
-    x0, y0, p1, p2, q1, q2, _, q3 = (float(number) for number in numbers[1:])
-    return replace(
-        nominal,
-        focal_m=float(nominal.focal_m * np.exp(theta[0])),
-        principal_px=(x0, y0),
-        p1=p1,
-        p2=p2,
-        q1=q1,
-        q2=q2,
-        q3=q3,
-    )
+    x0, y0, p1, p2, q1, q2, _, q3 = (theta * _units(nominal))[1:].tolist()
+    distortion = {"p1": p1, "p2": p2, "q1": q1, "q2": q2, "q3": q3}
+    focal_m = float(nominal.focal_m * np.exp(theta[0]))
+    return replace(nominal, focal_m=focal_m, principal_px=(x0, y0), **distortion)
 
 
 def _units(camera: StarCamera) -> Floats:

@@ -27,16 +27,15 @@ PER_PARAMETER = 1.0
 ROUNDS, SMALL_CHANGE = 40, 1e-4
 
 
-def common_variance(residual_px: Floats, leverage: Floats, own_px2: Floats, before: float) -> float:
+def common_variance(square: Floats, leverage: Floats, own_px2: Floats, before: float) -> float:
     """Variance, px^2 along one axis, of a position error common to all stars, by restricted maximum
-    likelihood, from residuals (N, 2), px, of stars with variances (N,) of their own.
+    likelihood, from squared residuals (N,), px^2, of stars with variances (N,) of their own.
 
     At the maximum  sum (2 - h) / v = sum r^2 / v^2,  v the total variance of a star along one axis, r its
     residual, h its `leverage` (N,), computed with the variance `before`. It is zero where the likelihood does
     not ask for it: of stars as good as stated half show some by chance, of which errors would be overstated.
     Near that limit it is a part of its size.
     """
-    square = (residual_px**2).sum(axis=1)
 
     def excess(variance: float) -> float:
         v = own_px2 + variance

@@ -465,7 +465,7 @@ def _fitted(
 
 def _expected_stars(camera: StarCamera, R_si: Rotation, detections: int, index: StarIndex) -> Ints:
     """Rows of the stars that so many detections can show, in the image or just outside, brightest first."""
-    rows = index.near(R_si.inv().apply([0.0, 0.0, 1.0]), 1.05 * camera.field_radius_rad)
+    rows = index.near(R_si.as_matrix()[2], 1.05 * camera.field_radius_rad)
     rows = rows[index.to_brighter_rad[rows] > RESOLVED_PX * camera.pixel_m / camera.focal_m]
     xy = camera.pixels_from_directions(R_si.apply(index.u_i[rows]))
     with np.errstate(invalid="ignore"):

@@ -13,6 +13,7 @@ import numpy as np
 
 from boresight.records.record import Floats, Ints, array, record
 from boresight.star_id.beyond_chance import NEVER_SIGMA
+from boresight.star_id.common_variance import SMALL_CHANGE
 from boresight.star_id.identification.triangle_index import concatenated_ranges
 
 __all__ = ["FieldMatch", "match_field"]
@@ -39,19 +40,24 @@ def match_field(
     image, px^2. Pairs of a probability below one half are left out.
     """
     detection, star = _near(xy_px, cov_px, predicted_px, cov_predicted_px)
-    S = cov_px[detection] + cov_predicted_px[star]
-    d = xy_px[detection] - predicted_px[star]
-    square = np.einsum("ki,ki->k", d, np.linalg.solve(S, d[:, :, None])[:, :, 0])
-    density = np.exp(-0.5 * square) / (2.0 * np.pi * np.sqrt(np.linalg.det(S)))
+    S = (cov_px.take(detection, axis=0) + cov_predicted_px.take(star, axis=0)).reshape(-1, 4)
+    (x2, xy, _, y2), (x, y) = S.T, (xy_px.take(detection, axis=0) - predicted_px.take(star, axis=0)).T
+    determinant = x2 * y2 - xy * xy
+    square = (y2 * x * x - 2.0 * xy * x * y + x2 * y * y) / determinant
+    density = np.exp(-0.5 * square) / (2.0 * np.pi * np.sqrt(determinant))
     group = np.arange(len(predicted_px)) // _STARS_PER_GROUP
     size = np.bincount(group)
     detected, clutter = np.full(len(size), 0.5), len(xy_px) / area_px
+    of_group = group[star]
     for _ in range(12):  # the matches repeat before
-        of_star = detected[group[star]] * density
+        before = detected
+        of_star = detected[of_group] * density
         of_all = clutter + np.bincount(detection, of_star, minlength=len(xy_px))
         probability = of_star / of_all[detection]
-        detected = (np.bincount(group[star], probability, minlength=len(size)) + 0.5) / (size + 1.0)
+        detected = (np.bincount(of_group, probability, minlength=len(size)) + 0.5) / (size + 1.0)
         clutter = max(len(xy_px) - float(probability.sum()), 1.0) / area_px
+        if np.abs(detected - before).max(initial=0.0) < SMALL_CHANGE:
+            break
     probable = np.flatnonzero(probability > 0.5)  # likelier a match than not
     best_last = probable[np.argsort(probability[probable], kind="stable")]
     row = np.full(len(predicted_px), -1)

@@ -66,7 +66,7 @@ def _mean_of(fit: FieldFit, departing: FieldFit, share: float) -> FieldFit:
     return FieldFit(R_si, cov_s, fit.camera, 0.0, share * departing.misfit_px)
 
 
-@record(kw_only=True)
+@record
 class ScaledFit:
     """Attitude of one image and the scale of its camera."""
 
@@ -92,13 +92,9 @@ def fit_scaled_camera(
     if _share_that_departs(xy_px, cov_px, fit) >= 0.5:
         departing = _departing(camera, xy_px, cov_px, u_i, fit)
         if departing is not None and departing.misfit_px > 0.0:
-            return ScaledFit(
-                R_si=departing.R_si, log_scale=0.0, covariance=departing.cov_s, misfit_px=departing.misfit_px
-            )
+            return ScaledFit(departing.R_si, 0.0, departing.cov_s, departing.misfit_px)
     variance_factor = max(1.0, fit.chi2 / max(fit.dof, 1))
-    return ScaledFit(
-        R_si=fit.R_si, log_scale=fit.scale, covariance=variance_factor * fit.covariance, misfit_px=0.0
-    )
+    return ScaledFit(fit.R_si, fit.scale, variance_factor * fit.covariance, 0.0)
 
 
 def focal_derivatives(camera: StarCamera, slopes: Floats, u_s: Floats) -> Floats:

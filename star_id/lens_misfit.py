@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 from scipy.linalg import cho_solve
@@ -231,6 +231,7 @@ class LensEquations:
         columns = _columns(self.camera, self.u_s, self.xy_px, slopes, self.free, stretched=stretch_px > 0.0)
         return replace(self, slopes=slopes, columns=columns, stretch_px=stretch_px)
 
+    @lru_cache(maxsize=1)  # asked for a stretch, then for the errors  # noqa: B019
     def solved(self, common_px2: float) -> _Linear:
         """Solution with a variance, px^2, added to each star's along both axes."""
         return self.normal(common_px2).solved(self.sigma)
@@ -257,7 +258,8 @@ def with_common_variance(equations: LensEquations, start_px2: float) -> float:
     for _ in range(ROUNDS):
         solution = equations.solved(common)
         residual = equations.residual_px - equations.columns @ solution.mean
-        before, common = common, common_variance(residual, solution.leverage, own, common)
+        square = (residual**2).sum(axis=1)
+        before, common = common, common_variance(square, solution.leverage, own, common)
         if abs(common - before) <= SMALL_CHANGE * before:
             break
     return common
@@ -496,10 +498,12 @@ def _slopes_of(u_s: Floats, J: Floats, moved: Floats) -> Floats:
     if not np.isfinite(turned).all():  # beyond a turning point there is no direction
         raise np.linalg.LinAlgError("the lens does not reach the edges of the image")
     (middle, above, left, right), (of_middle, of_above, of_left, of_right) = u_s, turned
-    side, chord = np.cross(middle, above), right - left
+    x, y, z = middle.tolist()
+    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # the vector product of the middle with
+    side, chord = across @ above, right - left
     square, length2 = side @ side, chord @ chord
     # the direction up is that of the pixel above, less its part along the middle
     roll = side @ (of_above - (above @ middle) * of_middle) / square
-    rotation = np.cross(middle, of_middle, axis=0) + np.outer(middle, roll)
+    rotation = across @ of_middle + np.outer(middle, roll)
     field = chord @ (of_right - of_left) / np.sqrt(length2 * (1.0 - 0.25 * length2))
     return np.vstack([rotation, field]).T

@@ -110,13 +110,8 @@ def choose_lens(stars: IdentifiedStars, camera: StarCamera, rotations: Rotation)
     plain, good = max(fits, key=lambda fit: fit[1].sum())
     if good.sum() < CLEARLY_MORE * fits[0][1].sum():
         plain, good = fits[0]
-    inner = replace(
-        stars,
-        xy_px=stars.xy_px[good],
-        cov_px=stars.cov_px[good],
-        u_i=stars.u_i[good],
-        frame=stars.frame[good],
-    )
+    placed = stars.xy_px[good], stars.cov_px[good]
+    inner = IdentifiedStars(*placed, stars.u_i[good], stars.frame[good], stars.t_s)
     cases = [(base, free) for free in (PARAMETERS, (*PARAMETERS, Q3)) for base in bases]
     trials = [*_each(lambda case: _Trial.of(inner, case[0], rotations, case[1]), cases)]
     if not trials:

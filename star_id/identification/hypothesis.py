@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy.linalg.lapack import dposv
 
 from boresight.geometry.attitude_estimate import wahba_matrices
 from boresight.records.record import Floats, Ints, record
@@ -106,11 +107,13 @@ class AcceptedPairs:
 def predict_field(
     image: PlaneDetections, index: StarIndex, R: Floats, distortion: Floats
 ) -> AttitudeHypothesis:
-    """Hypothesis with all index stars that may lie in the image, for attitude `R` (3, 3) and `distortion`
-    (4,)."""
+    """Hypothesis with the index stars that may lie in the image and be detected, for attitude `R` (3, 3) and
+    `distortion` (4,)."""
     field = image.field
     corner = math.hypot(field.half_x, field.half_y) * (1.03 + 0.5 * field.shape_error)
-    rows = index.near(R[2], math.atan(corner * math.exp(-distortion[0])))
+    # around the image, of a field twice as sparse as the mean
+    enough = 2.0 * _most_predicted(image) * math.pi * corner**2 / image.area
+    rows = index.near(R[2], math.atan(corner * math.exp(-distortion[0])), enough)
     resolved = index.to_brighter_rad.take(rows) > RESOLVED_PX * field.pixel
     return predict_stars(index, rows.take(resolved.nonzero()[0]), R, distortion)
 
@@ -127,10 +130,13 @@ def predict_stars(index: StarIndex, rows: Ints, R: Floats, distortion: Floats) -
 
 def nearby_pairs(image: PlaneDetections, hypothesis: AttitudeHypothesis, sigma: Floats) -> NearbyPairs:
     """Pairs within five `sigma` (M,), of the brightest predicted stars that so many detections can show."""
-    most = int(STARS_PER_DETECTION * len(image.points)) + 12
-    inside = image.field.contains(hypothesis.predicted).nonzero()[0][:most]
+    inside = image.field.contains(hypothesis.predicted).nonzero()[0][: _most_predicted(image)]
     star, detection = image.within(hypothesis.predicted.take(inside), 5.0 * sigma.take(inside))
     return NearbyPairs(inside.take(star), detection, len(inside))
+
+
+def _most_predicted(image: PlaneDetections) -> int:
+    return int(STARS_PER_DETECTION * len(image.points)) + 12
 
 
 def one_to_one_pairs(
@@ -196,7 +202,10 @@ def refine(
         median = 0.5 * (ordered[(n - 1) // 2] + ordered[n // 2])
         weight = 1.0 / np.hypot(1.0, size / (2.0 * median + 0.05 * image.field.pixel))
         A = (np.array([*_rotation_derivatives(ideal), *by_distortion[:free], residual]) * weight).view(float)
-        step = np.linalg.lstsq(A[:-1].T, A[-1], rcond=1e-10)[0]
+        products = A @ A.T
+        _, step, undetermined = dposv(products[:-1, :-1], products[:-1, -1])
+        if undetermined:
+            break
         R = rotation_matrix(step[:3].tolist()) @ R
         distortion[:free] += step[3:]
     return R, distortion, 3 + free

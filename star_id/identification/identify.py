@@ -151,17 +151,15 @@ def identify_stars(
     if n < 4:
         return NotIdentified(f"{n} stars found, 4 are needed; lower the threshold or expose longer", n)
     image = PlaneDetections.from_xy(xy, field)
-    tables = dict(enumerate(index.tables_for(field.equivalent_fov_rad)))
-    if (denser := index.denser_table(field.equivalent_fov_rad)) is not None:
-        tables[DENSER] = denser
+    tables = index.tables_for(field.equivalent_fov_rad)
     examined, best, tried_by = tried, -math.inf, [image]
     limit = math.log(settings.max_false_alarm_probability)
     for number, done, brightest in stages:
         size = min(brightest, n, settings.max_identification_stars)
-        if size <= done or number not in tables:
+        if size <= done or (table := tables[number]) is None:
             continue
         # where many stars are missing, so are the neighbours that proposals are judged by
-        proposals = propose(image, tables[number], index.u_i, done, size, unlikely_too=number == DENSER)
+        proposals = propose(image, table, index.u_i, done, size, unlikely_too=number == DENSER)
         examined += proposals.examined
         for triangle, R, log_scale in zip(proposals.detections, proposals.R, proposals.log_scale):
             corners = image.points[triangle]
@@ -235,9 +233,11 @@ def _refined_trial(
             near = nearby_pairs(image, hypothesis, sigma)
         pairs = one_to_one_pairs(image, hypothesis, near, sigma)
         limit = max(3.0 * robust_sigma(pairs.distance, field.pixel), field.pixel)
-        match = match_within(hypothesis, pairs, limit)
+        before, match = match, match_within(hypothesis, pairs, limit)
         if match is None:
             return None
+        if np.array_equal([match.stars, match.detections], [before.stars, before.detections]):
+            break
     return _Trial(match, R_si, distortion, _log_ratio(image, pairs, 3 + (fitted - 2) // 2))
 
 

@@ -77,19 +77,16 @@ def propose(
     if image.field.is_calibrated or examined <= _TRIALS:  # most are right: the largest fix the attitude best
         largest = (-longest).argsort(kind="stable")[:_TRIALS]
         detected, longest, rows = detected.take(largest, axis=0), longest.take(largest), rows.take(largest)
+    vertices, R, log_scale = _posed(image, table, u_s, u_i, detected, longest, rows)
     if len(rows) > _TRIALS:
         sky = _DetectionMap.of(image)
-        chunks = [slice(k, k + _CHUNK) for k in range(0, examined, _CHUNK)]
+        chunks = (slice(k, k + _CHUNK) for k in range(0, examined, _CHUNK))
         log_ratio = np.concatenate(
-            [
-                sky.log_ratios(table, u_i, *_posed(image, table, u_s, u_i, detected[c], longest[c], rows[c]))
-                for c in chunks
-            ]
+            [sky.log_ratios(table, u_i, vertices[c], R[:, :, c], log_scale[c]) for c in chunks]
         )
         worth = np.flatnonzero((log_ratio > np.log(examined) - _MARGIN) | unlikely_too)
         best = worth[np.argsort(-log_ratio[worth], kind="stable")][:_TRIALS]
-        detected, longest, rows = detected[best], longest[best], rows[best]
-    _, R, log_scale = _posed(image, table, u_s, u_i, detected, longest, rows)
+        detected, R, log_scale = detected[best], R[:, :, best], log_scale[best]
     return Proposals(detected, R.transpose(2, 0, 1), log_scale, examined)
 
 

@@ -138,25 +138,23 @@ class StarIndex:
         names = [field.name for field in fields(cls) if shape_of(field)]
         return cls(stars=_brightest_first(stars), tables=tables, **_named(names, arrays))
 
-    def tables_for(self, fov_rad: float) -> tuple[TriangleTable, ...]:
-        """The table for the field of view closest to `fov_rad`, and the next wider one if there is one."""
-        nearest = min(self.tables, key=lambda table: abs(math.log(table.fov_rad / fov_rad)))
-        wider = [table for table in self.tables if table.fov_rad > nearest.fov_rad]
-        return (nearest, *sorted(wider, key=lambda table: table.fov_rad)[:1])
+    def tables_for(self, fov_rad: float) -> tuple[TriangleTable | None, ...]:
+        """The table for the field of view closest to `fov_rad`, the next wider one, and the next denser one,
+        of a smaller field; None where there is none."""
+        by_fov = sorted(self.tables, key=lambda table: table.fov_rad)
+        k = min(range(len(by_fov)), key=lambda k: abs(math.log(by_fov[k].fov_rad / fov_rad)))
+        denser, usual, wider = [None, *by_fov, None][k : k + 3]
+        return usual, wider, denser
 
-    def denser_table(self, fov_rad: float) -> TriangleTable | None:
-        """The table for the next smaller field of view, which holds more stars, if there is one."""
-        nearest = min(self.tables, key=lambda table: abs(math.log(table.fov_rad / fov_rad)))
-        smaller = [table for table in self.tables if table.fov_rad < nearest.fov_rad]
-        return max(smaller, key=lambda table: table.fov_rad, default=None)
-
-    def near(self, direction_i: Floats, radius_rad: float) -> Ints:
+    def near(self, direction_i: Floats, radius_rad: float, enough: float = math.inf) -> Ints:
         """Rows of the stars within `radius_rad` (good to 1e-6) of a unit vector (3,), GCRS axes, brightest
-        first."""
-        chord = 2.0 * math.sin(0.5 * min(radius_rad, math.pi))
+        first; of more than `enough` those that are bright enough for as many of a mean field."""
+        chord, cosine = 2.0 * math.sin(0.5 * min(radius_rad, math.pi)), math.cos(min(radius_rad, math.pi))
         direction = direction_i.astype(np.float32)
+        if (bright := enough / (0.25 * chord * chord)) < len(self.u_i):  # by the share of the sphere
+            return (self.u_i[: int(bright)] @ direction_i > cosine).nonzero()[0]
         first, end = self.u_along_z[:, 2].searchsorted([direction[2] - chord, direction[2] + chord])
-        near = self.u_along_z[first:end] @ direction > math.cos(min(radius_rad, math.pi))
+        near = self.u_along_z[first:end] @ direction > cosine
         return np.sort(self.along_z[first:end].take(near.nonzero()[0]))
 
 
