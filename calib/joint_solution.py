@@ -242,7 +242,7 @@ def solve_weighted(problem: Problem, about: Linearised, weight: Floats, known: S
         if known is None:
             reduced.append(_reduced(line, own))
         else:
-            changed = np.flatnonzero((own != known.weight[first:last].reshape(own.shape)).any(axis=1))
+            changed = (own != known.weight[first:last].reshape(own.shape)).any(axis=1)
             reduced.append(known.reduced[n].changed(changed, _reduced(line.take(changed), own[changed])))
         first = last
     N = np.concatenate([part.N for part in reduced])
@@ -275,8 +275,10 @@ class _Reduced:
     back: Floats  # (S, n_q, n + 1) change of the strip's own unknowns by each of those
     cov_q: Floats  # (S, n_q, n_q) covariance of the strip's own unknowns, the others given
 
-    def changed(self, strips: Ints, by: _Reduced) -> _Reduced:
+    def changed(self, strips: Bools, by: _Reduced) -> _Reduced:
         """The group with some strips as they are in another."""
+        if strips.all():
+            return by
         N, back, cov_q = self.N.copy(), self.back.copy(), self.cov_q.copy()
         N[strips], back[strips], cov_q[strips] = by.N, by.back, by.cov_q
         return _Reduced(N, back, cov_q)

@@ -412,13 +412,14 @@ def _causes(
     """
     lost = int(np.sum(one.problem.inside & (one.step.weight < 1.0)))  # rejected, or of less weight
     if lost < 2 and min(test.p_value for test in tests) * len(tests) >= PROBABILITY_FOUND:
-        return [], [], _fit(one, [], one.solved(one.problem.inside & (one.step.weight > 0.0))), None
+        return [], [], _fits(one, [[]], one.solved(one.problem.inside & (one.step.weight > 0.0)))[0], None
     chosen: list[int] = []
     findings: list[Finding] = []
-    n, before, strongest = len(one.table), _minimum(one, [], _starts(one)), 0.0
+    n, before, strongest = len(one.table), _minima(one, [[]], _starts(one))[0], 0.0
     while len(chosen) < MOST_CAUSES:
-        starts = _starts(one, before.kept)
-        trials = {h: _minimum(one, [*chosen, h], starts) for h in _likeliest(one, chosen, before)}
+        likeliest = _likeliest(one, chosen, before)
+        minima = _minima(one, [[*chosen, h] for h in likeliest], _starts(one, before.kept))
+        trials = dict(zip(likeliest, minima))
         largest = {h: one.table[h].largest + BEYOND_SIGMAS * fit.sigma[-1] for h, fit in trials.items()}
         trials = {h: fit for h, fit in trials.items() if abs(fit.size[-1]) < largest[h]}  # sizes that can be
         gain = {h: before.criterion - fit.criterion for h, fit in trials.items()}
@@ -512,35 +513,57 @@ def _starts(one: _Adjustment, *further: Bools) -> dict[bytes, joint_solution.Ste
     return {kept.tobytes(): one.solved(kept) for kept in enough}
 
 
-def _minimum(one: _Adjustment, rows: Sequence[int], starts: Mapping[bytes, joint_solution.Step]) -> _Fit:
-    """The least criterion with the hypotheses `rows` as unknowns, searched from several `starts`."""
-    inside = one.problem.inside
-    best: _Fit | None = None
-    tried: set[bytes] = set()
+def _minima(
+    one: _Adjustment, each: Sequence[Sequence[int]], starts: Mapping[bytes, joint_solution.Step]
+) -> list[_Fit]:
+    """The least criterion with hypotheses as unknowns, those of `each` set by themselves, searched from
+    several `starts`. Searches that come to the same observations share their solution.
+    """
+    inside, n_theta = one.problem.inside, len(one.step.solution.theta)
+    best: list[_Fit | None] = [None] * len(each)
+    tried = [set[bytes]() for _ in each]
     for start in starts.values():
-        kept = start.weight == 1.0
+        kept_by = dict.fromkeys(range(len(each)), start.weight == 1.0)
         for _ in range(MOST_ROUNDS):
-            if kept.tobytes() in tried or 2 * kept.sum() < len(one.step.solution.theta) + len(rows):
-                break
-            tried.add(kept.tobytes())
-            fit = _fit(one, rows, starts.get(kept.tobytes()) or one.solved(kept))
-            if fit.sigma.all() and (best is None or fit.criterion < best.criterion):
-                best = fit  # without what an unknown would need, it is no explanation
-            kept = inside & (fit.statistic < one.limit)
-    return best or _fit(one, rows, one.solved(inside))  # none of the starts has observations enough
+            together: dict[bytes, list[int]] = {}
+            for n, kept in kept_by.items():
+                if (key := kept.tobytes()) not in tried[n] and 2 * kept.sum() >= n_theta + len(each[n]):
+                    together.setdefault(key, []).append(n)
+                    tried[n].add(key)
+            kept_by = {}
+            for key, those in together.items():
+                step = starts.get(key) or one.solved(np.frombuffer(key, dtype=bool))
+                for n, fit in zip(those, _fits(one, [each[n] for n in those], step)):
+                    least = best[n]
+                    if fit.sigma.all() and (least is None or fit.criterion < least.criterion):
+                        best[n] = fit  # without what an unknown would need, it is no explanation
+                    kept_by[n] = inside & (fit.statistic < one.limit)
+    # Where none of the starts has observations enough, all are kept.
+    return [fit or _fits(one, [rows], one.solved(inside))[0] for fit, rows in zip(best, each)]
 
 
-def _fit(one: _Adjustment, rows: Sequence[int], step: joint_solution.Step) -> _Fit:
-    """A solution of weights 0 and 1 with the hypotheses `rows` as unknowns."""
+def _fits(one: _Adjustment, each: Sequence[Sequence[int]], step: joint_solution.Step) -> list[_Fit]:
+    """A solution of weights 0 and 1 with the hypotheses of `each` set as unknowns."""
+    columns = list(dict.fromkeys(row for rows in each for row in rows))
+    B = one.B[:, columns].toarray().reshape(len(step.weight), 2, len(columns))
+    left, x = joint_solution.respond(step, B)
+    x = x[: len(step.solution.theta)]
+    own = ([columns.index(row) for row in rows] for rows in each)
+    return [_fit(one, rows, step, B[:, :, of], left[:, :, of], x[:, of]) for rows, of in zip(each, own)]
+
+
+def _fit(
+    one: _Adjustment, rows: Sequence[int], step: joint_solution.Step, B: Floats, left: Floats, x: Floats
+) -> _Fit:
+    """The same of one set of hypotheses, whose units move the residuals by `B`, of which `left` is left, and
+    theta by `x`.
+    """
     kept = step.weight == 1.0
     rejected = one.limit * float(np.sum(one.problem.inside & ~kept))
-    B = one.B[:, rows].toarray()
-    left, x = joint_solution.respond(step, B.reshape(len(kept), 2, len(rows)))
-    weighted = np.repeat(step.weight, 2)[:, None] * B
-    S = weighted.T @ left.reshape(B.shape) + one.star_information[np.ix_(rows, rows)]
+    weighted = (step.weight[:, None, None] * B).reshape(2 * len(kept), len(rows))
+    S = weighted.T @ left.reshape(weighted.shape) + one.star_information[np.ix_(rows, rows)]
     y = weighted.T @ step.whitened.ravel() + one.star_right[rows]
     of_sizes = np.asarray(np.linalg.pinv(0.5 * (S + S.T), rcond=1e-10, hermitian=True), dtype=np.float64)
-    x = x[: len(step.solution.theta)]
     size = of_sizes @ y
     e = step.whitened - left @ size
     leverage = step.leverage + left @ of_sizes @ np.swapaxes(left, 1, 2)

@@ -150,7 +150,7 @@ class LinearStrips:
     across: Floats  # (S, J, 2, 3) takes changes of looks, frame c, to rows of r; zero where not covered
     ties: Floats  # (S, h, A + 1) rows of the other heads by unknowns of heads, the last common ones; residual
 
-    def take(self, strips: Ints) -> LinearStrips:
+    def take(self, strips: Bools) -> LinearStrips:
         """Some of the strips."""
         common = tuple(replace(part, X=part.X[strips]) for part in self.common)
         stacked = {name: getattr(self, name)[strips] for name in STACKED}
