@@ -229,22 +229,17 @@ def linearised(problem: Problem, R_cs: Rotation, known: Step | None = None) -> L
 
 def solve_weighted(problem: Problem, about: Linearised, weight: Floats, known: Step | None = None) -> Step:
     """Eliminate each strip's own unknowns, add, solve, and compute all residuals; `weight` (J,) between 0
-    and 1. A solution `known` about the same matrix is returned where it is the same; of strips with the
-    weights that they have in it, the equations are taken from it.
+    and 1. A solution `known` is returned where it is the same; what it has of groups of strips with the same
+    weights is taken from it.
     """
     known = known if known and known.about is about else None
     if known and np.array_equal(known.weight, weight):
         return known
     reduced, first = [], 0
     for n, (group, line) in enumerate(zip(problem.groups, about.strips)):
-        last = first + group.inside.size
-        own = weight[first:last].reshape(group.inside.shape)
-        if known is None:
-            reduced.append(_reduced(line, own))
-        else:
-            changed = (own != known.weight[first:last].reshape(own.shape)).any(axis=1)
-            reduced.append(known.reduced[n].changed(changed, _reduced(line.take(changed), own[changed])))
-        first = last
+        own = slice(first, first := first + group.inside.size)
+        same = known if known and np.array_equal(known.weight[own], weight[own]) else None
+        reduced.append(same.reduced[n] if same else _reduced(line, weight[own].reshape(group.inside.shape)))
     N = np.concatenate([part.N for part in reduced])
     F, right, shared = N[:, :-1, :-1], N[:, :-1, -1], problem.shared.names
     pairs = InformationPairs(problem.names, F, right, about.R_cs, shared, problem.cameras)
@@ -274,14 +269,6 @@ class _Reduced:
     N: Floats  # (S, n + 1, n + 1) normal matrix of theta, the shared unknowns and, last, the residual
     back: Floats  # (S, n_q, n + 1) change of the strip's own unknowns by each of those
     cov_q: Floats  # (S, n_q, n_q) covariance of the strip's own unknowns, the others given
-
-    def changed(self, strips: Bools, by: _Reduced) -> _Reduced:
-        """The group with some strips as they are in another."""
-        if strips.all():
-            return by
-        N, back, cov_q = self.N.copy(), self.back.copy(), self.cov_q.copy()
-        N[strips], back[strips], cov_q[strips] = by.N, by.back, by.cov_q
-        return _Reduced(N, back, cov_q)
 
 
 def _reduced(line: LinearStrips, weight: Floats) -> _Reduced:

@@ -412,7 +412,8 @@ def _causes(
     """
     lost = int(np.sum(one.problem.inside & (one.step.weight < 1.0)))  # rejected, or of less weight
     if lost < 2 and min(test.p_value for test in tests) * len(tests) >= PROBABILITY_FOUND:
-        return [], [], _fits(one, [[]], one.solved(one.problem.inside & (one.step.weight > 0.0)))[0], None
+        plain = one.solved(one.problem.inside & (one.step.weight > 0.0))
+        return [], [], next(_fits(one, [[]], plain)), None
     chosen: list[int] = []
     findings: list[Finding] = []
     n, before, strongest = len(one.table), _minima(one, [[]], _starts(one))[0], 0.0
@@ -539,46 +540,38 @@ def _minima(
                         best[n] = fit  # without what an unknown would need, it is no explanation
                     kept_by[n] = inside & (fit.statistic < one.limit)
     # Where none of the starts has observations enough, all are kept.
-    return [fit or _fits(one, [rows], one.solved(inside))[0] for fit, rows in zip(best, each)]
+    return [fit or next(_fits(one, [rows], one.solved(inside))) for fit, rows in zip(best, each)]
 
 
-def _fits(one: _Adjustment, each: Sequence[Sequence[int]], step: joint_solution.Step) -> list[_Fit]:
+def _fits(one: _Adjustment, each: Sequence[Sequence[int]], step: joint_solution.Step) -> Iterator[_Fit]:
     """A solution of weights 0 and 1 with the hypotheses of `each` set as unknowns."""
-    columns = list(dict.fromkeys(row for rows in each for row in rows))
-    B = one.B[:, columns].toarray().reshape(len(step.weight), 2, len(columns))
-    left, x = joint_solution.respond(step, B)
-    x = x[: len(step.solution.theta)]
-    own = ([columns.index(row) for row in rows] for rows in each)
-    return [_fit(one, rows, step, B[:, :, of], left[:, :, of], x[:, of]) for rows, of in zip(each, own)]
-
-
-def _fit(
-    one: _Adjustment, rows: Sequence[int], step: joint_solution.Step, B: Floats, left: Floats, x: Floats
-) -> _Fit:
-    """The same of one set of hypotheses, whose units move the residuals by `B`, of which `left` is left, and
-    theta by `x`.
-    """
     kept = step.weight == 1.0
     rejected = one.limit * float(np.sum(one.problem.inside & ~kept))
-    weighted = (step.weight[:, None, None] * B).reshape(2 * len(kept), len(rows))
-    S = weighted.T @ left.reshape(weighted.shape) + one.star_information[np.ix_(rows, rows)]
-    y = weighted.T @ step.whitened.ravel() + one.star_right[rows]
-    of_sizes = np.asarray(np.linalg.pinv(0.5 * (S + S.T), rcond=1e-10, hermitian=True), dtype=np.float64)
-    size = of_sizes @ y
-    e = step.whitened - left @ size
-    leverage = step.leverage + left @ of_sizes @ np.swapaxes(left, 1, 2)
-    variance = np.eye(2) + np.where(kept, -1.0, 1.0)[:, None, None] * leverage
-    return _Fit(
-        kept,
-        step.chi2 - float(y @ size) + rejected,
-        step.solution.theta - x @ size,
-        step.solution.covariance + x @ of_sizes @ x.T,
-        size,
-        np.sqrt(np.maximum(np.diag(of_sizes), 0.0)),
-        joint_solution.squared_over(e, variance),
-        e,
-        variance,
-    )
+    columns = list(dict.fromkeys(row for rows in each for row in rows))
+    B = one.B[:, columns].toarray()
+    left_by, x_by = joint_solution.respond(step, B.reshape(len(kept), 2, len(columns)))
+    weighted_by, x_by = np.repeat(step.weight, 2)[:, None] * B, x_by[: len(step.solution.theta)]
+    for rows in each:
+        of = [columns.index(row) for row in rows]
+        left, weighted, x = left_by[:, :, of], weighted_by[:, of], x_by[:, of]
+        S = weighted.T @ left.reshape(weighted.shape) + one.star_information[np.ix_(rows, rows)]
+        y = weighted.T @ step.whitened.ravel() + one.star_right[rows]
+        of_sizes = np.asarray(np.linalg.pinv(0.5 * (S + S.T), rcond=1e-10, hermitian=True), dtype=np.float64)
+        size = of_sizes @ y
+        e = step.whitened - left @ size
+        leverage = step.leverage + left @ of_sizes @ np.swapaxes(left, 1, 2)
+        variance = np.eye(2) + np.where(kept, -1.0, 1.0)[:, None, None] * leverage
+        yield _Fit(
+            kept,
+            step.chi2 - float(y @ size) + rejected,
+            step.solution.theta - x @ size,
+            step.solution.covariance + x @ of_sizes @ x.T,
+            size,
+            np.sqrt(np.maximum(np.diag(of_sizes), 0.0)),
+            joint_solution.squared_over(e, variance),
+            e,
+            variance,
+        )
 
 
 def _finding(

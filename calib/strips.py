@@ -17,7 +17,6 @@ targets and unknowns are reduced together.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -150,12 +149,6 @@ class LinearStrips:
     across: Floats  # (S, J, 2, 3) takes changes of looks, frame c, to rows of r; zero where not covered
     ties: Floats  # (S, h, A + 1) rows of the other heads by unknowns of heads, the last common ones; residual
 
-    def take(self, strips: Bools) -> LinearStrips:
-        """Some of the strips."""
-        common = tuple(replace(part, X=part.X[strips]) for part in self.common)
-        stacked = {name: getattr(self, name)[strips] for name in STACKED}
-        return replace(self, common=common, **stacked)
-
     def along(self, x: Floats) -> Floats:
         """(S, 2 J, n) change of r by a change x (3 C + g, n) of the common unknowns."""
         out = np.empty((*self.r.shape, x.shape[1]))
@@ -171,7 +164,6 @@ class LinearStrips:
         return out
 
 
-STACKED = ("r", "X_q", "whitener", "across", "ties")  # what `LinearStrips` has of each strip by itself
 # What a prepared strip has from its attitude as it is there.
 OF_ATTITUDE = ("inside", "weights", "R_si", "ties", "of_heads", "n_phi", "lasting")
 

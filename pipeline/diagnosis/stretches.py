@@ -107,14 +107,13 @@ def stretches(
     covariance_s: Floats,
     noise: AttitudeNoise | None,
     rows: Ints,
-    gyro: GyroRecord | None = None,
-    known: dict[Any, _Modes] | None = None,
+    gyro: GyroRecord | None,
+    known: dict[Any, tuple[Floats, ...]],
 ) -> Iterator[Stretch]:
     """Stretches of some rows of a record (N,) with errors of covariance (N, 3, 3), rad², each by itself, and
     what the noise of the head has in common from row to row; where a gyro covers them, against that. `known`
     are modes of the same head and gyro, by instants and covariances; those of other ones are added.
     """
-    known = {} if known is None else known
     parts = (rows[part] for part in without_gap(t_s[rows]))
     cut = (here for part in parts for here in np.array_split(part, max(-(-len(part) // MOST_ROWS), 1)))
     for here in (here for here in cut if len(here) >= FEWEST_ROWS):
@@ -123,43 +122,34 @@ def stretches(
         turned, middle = gyro and gyro.turned(t), len(t) // 2
         D = R * (turned * turned[middle].inv() * R[middle] if turned else motion.R_oi(t)).inv()
         key = t.tobytes(), own.tobytes(), bool(turned)
-        if (of := known.get(key)) is None:
-            of = known[key] = _Modes.of(t, own, noise, gyro.noise if gyro and turned else None)
+        if key not in known:
+            known[key] = _modes(t, own, noise, gyro.noise if gyro and turned else None)
+        axes, sigma, variance, modes = known[key]
         yield Stretch(
             rows=here,
-            turns=(D * D[middle].inv()).as_rotvec() @ of.axes,
-            variance=of.variance,
-            modes=of.modes,
-            rate=-motion.omega_o @ of.axes,
+            turns=(D * D[middle].inv()).as_rotvec() @ axes,
+            variance=variance,
+            modes=modes,
+            rate=-motion.omega_o @ axes,
             t_s=t,
-            own=of.own,
+            own=sigma,
             by_gyro=bool(turned),
         )
 
 
-@record
-class _Modes:
-    """What the errors of a stretch and the shapes of a motion have to do with no attitude."""
-
-    axes: Floats = array("3, 3", "of the errors, as columns, frame s")
-    own: Floats = array("3", "as in `Stretch`, as the others")
-    variance: Floats = array("3, S, M", "as there")
-    modes: Floats = array("3, S, M, K", "as there")
-
-    @classmethod
-    def of(cls, t: Floats, own: Floats, noise: AttitudeNoise | None, gyro: GyroNoise | None) -> _Modes:
-        """At instants (K,), with errors of covariances (K, 3, 3) and of a head and a gyro."""
-        by_itself, axes = np.linalg.eigh(own.mean(axis=0))
-        full, each = np.zeros((len(t), 3, len(t), 3)), np.arange(len(t))
-        if noise:
-            full += noise.coloured_covariance_s(t)
-        full[each, :, each, :] += own
-        if gyro:
-            full += gyro.covariance(t)[:, None, :, None] * np.eye(3)[:, None, :]
-        steps = (t - t.mean()) / float(np.median(np.diff(t)))
-        stated = np.einsum("ax,kalx->xkl", axes, full @ axes)
-        shapes = np.multiply.outer(by_itself, _shapes(steps))
-        return cls(axes, np.sqrt(by_itself), *motion_modes(stated, shapes, np.vander(steps, 3)))
+def _modes(t: Floats, own: Floats, noise: AttitudeNoise | None, gyro: GyroNoise | None) -> tuple[Floats, ...]:
+    """What does not depend on attitudes, at instants (K,) with errors of covariances (K, 3, 3) and of a head
+    and a gyro: the axes of the errors (3, 3), and `own`, `variance` and `modes` of the stretch.
+    """
+    each, (by_itself, axes) = np.arange(len(t)), np.linalg.eigh(own.mean(axis=0))
+    full = noise.coloured_covariance_s(t) if noise else np.zeros((len(t), 3, len(t), 3))
+    full[each, :, each, :] += own
+    if gyro:
+        full += gyro.covariance(t)[:, None, :, None] * np.eye(3)[:, None, :]
+    steps = (t - t.mean()) / float(np.median(np.diff(t)))
+    stated = np.einsum("ax,kalx->xkl", axes, full @ axes)
+    shapes = np.multiply.outer(by_itself, _shapes(steps))
+    return axes, np.sqrt(by_itself), *motion_modes(stated, shapes, np.vander(steps, 3))
 
 
 def _shapes(t: Floats) -> Floats:

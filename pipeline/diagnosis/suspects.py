@@ -78,7 +78,7 @@ class MeasuredTargets:
         t_s = np.asarray(model.instants_of_lines(subject.ccd, np.array([xy_px[1]])))
         lat, lon, _ = geodetic_from_ecef(p_e[None], WGS84)
         axes_i = model.earth.matrices_ie(t_s)[0] @ local_axes_e(lat, lon)[0]
-        axes_o = model.orbit.R_oi(t_s).as_matrix()[0] @ axes_i
+        axes_o = self.tasks[subject.strip].orbit.R_oi(t_s).as_matrix()[0] @ axes_i
         off_m, covariance = suspect.displaced_m(stated_m, axes_o[:, :2])
         along = off_m / max(float(np.hypot(*off_m)), 1e-9)
         return float(off_m[0]), float(off_m[1]), float(np.sqrt(along @ covariance @ along))

@@ -214,7 +214,7 @@ def test_what_is_left_of_a_hypothesis_beside_others_is_what_it_has_as_a_further_
     own, given, right, _, by_theta = one.beside(one.step, chosen)
     seen = np.flatnonzero(own > 1e-6 * np.maximum(given, own + by_theta))
     own, given, right = own[seen], given[seen], right[seen]
-    fits = _fits(one, [[*chosen, n] for n in seen.tolist()], one.solved(one.step.weight > 0.0))
+    fits = list(_fits(one, [[*chosen, n] for n in seen.tolist()], one.solved(one.step.weight > 0.0)))
     alone = np.array([(fit.size[-1], fit.sigma[-1]) for fit in fits])
     np.testing.assert_allclose(np.transpose([right / own, own**-0.5]), alone, rtol=1e-6)
     assert len(seen) > 70 and np.min(own / given) < 0.5  # some explain much the same
