@@ -85,14 +85,14 @@ def snoop(problem: Problem, about: Linearised, kept: Bools, limit: float, known:
     rejection, re-admission or exchange decreases (1).
     """
 
-    def solved(kept: Bools) -> tuple[Step, float]:
+    def solved(kept: Bools, known: Step | None) -> tuple[Step, float]:
         step = solve_weighted(problem, about, kept.astype(float), known)
         return step, step.chi2 + limit * int(np.sum(problem.inside & ~kept))
 
-    step, criterion = solved(kept)
+    step, criterion = solved(kept, known)
     while True:
         for other in _moves(problem, kept, step, limit):
-            moved, value = solved(other)
+            moved, value = solved(other, step)
             if value < criterion - SMALLEST_GAIN * limit:
                 kept, step, criterion = other, moved, value
                 break

@@ -229,15 +229,17 @@ def linearised(problem: Problem, R_cs: Rotation, known: Step | None = None) -> L
 
 def solve_weighted(problem: Problem, about: Linearised, weight: Floats, known: Step | None = None) -> Step:
     """Eliminate each strip's own unknowns, add, solve, and compute all residuals; `weight` (J,) between 0
-    and 1. A solution `known` is returned where it is the same.
+    and 1. A solution `known` is returned where it is the same; what it has of groups of strips with the same
+    weights is taken from it.
     """
-    if known and known.about is about and np.array_equal(known.weight, weight):
+    known = known if known and known.about is about else None
+    if known and np.array_equal(known.weight, weight):
         return known
     reduced, first = [], 0
-    for group, line in zip(problem.groups, about.strips):
-        last = first + group.inside.size
-        reduced.append(_reduced(line, weight[first:last].reshape(group.inside.shape)))
-        first = last
+    for n, (group, line) in enumerate(zip(problem.groups, about.strips)):
+        own = slice(first, first := first + group.inside.size)
+        same = known if known and np.array_equal(known.weight[own], weight[own]) else None
+        reduced.append(same.reduced[n] if same else _reduced(line, weight[own].reshape(group.inside.shape)))
     N = np.concatenate([part.N for part in reduced])
     F, right, shared = N[:, :-1, :-1], N[:, :-1, -1], problem.shared.names
     pairs = InformationPairs(problem.names, F, right, about.R_cs, shared, problem.cameras)

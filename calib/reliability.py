@@ -412,13 +412,15 @@ def _causes(
     """
     lost = int(np.sum(one.problem.inside & (one.step.weight < 1.0)))  # rejected, or of less weight
     if lost < 2 and min(test.p_value for test in tests) * len(tests) >= PROBABILITY_FOUND:
-        return [], [], _fit(one, [], one.solved(one.problem.inside & (one.step.weight > 0.0))), None
+        plain = one.solved(one.problem.inside & (one.step.weight > 0.0))
+        return [], [], next(_fits(one, [[]], plain)), None
     chosen: list[int] = []
     findings: list[Finding] = []
-    n, before, strongest = len(one.table), _minimum(one, [], _starts(one)), 0.0
+    n, before, strongest = len(one.table), _minima(one, [[]], _starts(one))[0], 0.0
     while len(chosen) < MOST_CAUSES:
-        starts = _starts(one, before.kept)
-        trials = {h: _minimum(one, [*chosen, h], starts) for h in _likeliest(one, chosen, before)}
+        likeliest = _likeliest(one, chosen, before)
+        minima = _minima(one, [[*chosen, h] for h in likeliest], _starts(one, before.kept))
+        trials = dict(zip(likeliest, minima))
         largest = {h: one.table[h].largest + BEYOND_SIGMAS * fit.sigma[-1] for h, fit in trials.items()}
         trials = {h: fit for h, fit in trials.items() if abs(fit.size[-1]) < largest[h]}  # sizes that can be
         gain = {h: before.criterion - fit.criterion for h, fit in trials.items()}
@@ -512,50 +514,64 @@ def _starts(one: _Adjustment, *further: Bools) -> dict[bytes, joint_solution.Ste
     return {kept.tobytes(): one.solved(kept) for kept in enough}
 
 
-def _minimum(one: _Adjustment, rows: Sequence[int], starts: Mapping[bytes, joint_solution.Step]) -> _Fit:
-    """The least criterion with the hypotheses `rows` as unknowns, searched from several `starts`."""
-    inside = one.problem.inside
-    best: _Fit | None = None
-    tried: set[bytes] = set()
+def _minima(
+    one: _Adjustment, each: Sequence[Sequence[int]], starts: Mapping[bytes, joint_solution.Step]
+) -> list[_Fit]:
+    """The least criterion with hypotheses as unknowns, those of `each` set by themselves, searched from
+    several `starts`. Searches that come to the same observations share their solution.
+    """
+    inside, n_theta = one.problem.inside, len(one.step.solution.theta)
+    best: list[_Fit | None] = [None] * len(each)
+    tried = [set[bytes]() for _ in each]
     for start in starts.values():
-        kept = start.weight == 1.0
+        kept_by = dict.fromkeys(range(len(each)), start.weight == 1.0)
         for _ in range(MOST_ROUNDS):
-            if kept.tobytes() in tried or 2 * kept.sum() < len(one.step.solution.theta) + len(rows):
-                break
-            tried.add(kept.tobytes())
-            fit = _fit(one, rows, starts.get(kept.tobytes()) or one.solved(kept))
-            if fit.sigma.all() and (best is None or fit.criterion < best.criterion):
-                best = fit  # without what an unknown would need, it is no explanation
-            kept = inside & (fit.statistic < one.limit)
-    return best or _fit(one, rows, one.solved(inside))  # none of the starts has observations enough
+            together: dict[bytes, list[int]] = {}
+            for n, kept in kept_by.items():
+                if (key := kept.tobytes()) not in tried[n] and 2 * kept.sum() >= n_theta + len(each[n]):
+                    together.setdefault(key, []).append(n)
+                    tried[n].add(key)
+            kept_by = {}
+            for key, those in together.items():
+                step = starts.get(key) or one.solved(np.frombuffer(key, dtype=bool))
+                for n, fit in zip(those, _fits(one, [each[n] for n in those], step)):
+                    least = best[n]
+                    if fit.sigma.all() and (least is None or fit.criterion < least.criterion):
+                        best[n] = fit  # without what an unknown would need, it is no explanation
+                    kept_by[n] = inside & (fit.statistic < one.limit)
+    # Where none of the starts has observations enough, all are kept.
+    return [fit or next(_fits(one, [rows], one.solved(inside))) for fit, rows in zip(best, each)]
 
 
-def _fit(one: _Adjustment, rows: Sequence[int], step: joint_solution.Step) -> _Fit:
-    """A solution of weights 0 and 1 with the hypotheses `rows` as unknowns."""
+def _fits(one: _Adjustment, each: Sequence[Sequence[int]], step: joint_solution.Step) -> Iterator[_Fit]:
+    """A solution of weights 0 and 1 with the hypotheses of `each` set as unknowns."""
     kept = step.weight == 1.0
     rejected = one.limit * float(np.sum(one.problem.inside & ~kept))
-    B = one.B[:, rows].toarray()
-    left, x = joint_solution.respond(step, B.reshape(len(kept), 2, len(rows)))
-    weighted = np.repeat(step.weight, 2)[:, None] * B
-    S = weighted.T @ left.reshape(B.shape) + one.star_information[np.ix_(rows, rows)]
-    y = weighted.T @ step.whitened.ravel() + one.star_right[rows]
-    of_sizes = np.asarray(np.linalg.pinv(0.5 * (S + S.T), rcond=1e-10, hermitian=True), dtype=np.float64)
-    x = x[: len(step.solution.theta)]
-    size = of_sizes @ y
-    e = step.whitened - left @ size
-    leverage = step.leverage + left @ of_sizes @ np.swapaxes(left, 1, 2)
-    variance = np.eye(2) + np.where(kept, -1.0, 1.0)[:, None, None] * leverage
-    return _Fit(
-        kept,
-        step.chi2 - float(y @ size) + rejected,
-        step.solution.theta - x @ size,
-        step.solution.covariance + x @ of_sizes @ x.T,
-        size,
-        np.sqrt(np.maximum(np.diag(of_sizes), 0.0)),
-        joint_solution.squared_over(e, variance),
-        e,
-        variance,
-    )
+    columns = list(dict.fromkeys(row for rows in each for row in rows))
+    B = one.B[:, columns].toarray()
+    left_by, x_by = joint_solution.respond(step, B.reshape(len(kept), 2, len(columns)))
+    weighted_by, x_by = np.repeat(step.weight, 2)[:, None] * B, x_by[: len(step.solution.theta)]
+    for rows in each:
+        of = [columns.index(row) for row in rows]
+        left, weighted, x = left_by[:, :, of], weighted_by[:, of], x_by[:, of]
+        S = weighted.T @ left.reshape(weighted.shape) + one.star_information[np.ix_(rows, rows)]
+        y = weighted.T @ step.whitened.ravel() + one.star_right[rows]
+        of_sizes = np.asarray(np.linalg.pinv(0.5 * (S + S.T), rcond=1e-10, hermitian=True), dtype=np.float64)
+        size = of_sizes @ y
+        e = step.whitened - left @ size
+        leverage = step.leverage + left @ of_sizes @ np.swapaxes(left, 1, 2)
+        variance = np.eye(2) + np.where(kept, -1.0, 1.0)[:, None, None] * leverage
+        yield _Fit(
+            kept,
+            step.chi2 - float(y @ size) + rejected,
+            step.solution.theta - x @ size,
+            step.solution.covariance + x @ of_sizes @ x.T,
+            size,
+            np.sqrt(np.maximum(np.diag(of_sizes), 0.0)),
+            joint_solution.squared_over(e, variance),
+            e,
+            variance,
+        )
 
 
 def _finding(

@@ -101,6 +101,7 @@ class Attitudes:
     gyro: GyroRecord | None = scalar("a gyro, in the axes of the head", default=None)
     covariance_s: Floats = array("K, 3, 3", "of each by itself, rad²")
     limits: VerdictSettings = scalar("of the verdict")
+    modes: dict[Any, Any] = scalar("of stretches that were looked at, by instants and covariances")
 
     @classmethod
     def of(cls, head: HeadSightings, reference: Head, limits: VerdictSettings) -> Attitudes:
@@ -113,13 +114,14 @@ class Attitudes:
             R_si=Rotation.from_matrix(head.attitudes.R_si[usable].reshape(-1, 3, 3)),
             covariance_s=head.attitudes.covariance_s[usable],
             limits=limits,
+            modes={},
             gyro=reference.gyro and reference.gyro.in_axes(head.head.R_cs0.inv() * reference.R_cs0),
         )
 
     def stretches(self, rows: Ints) -> list[Stretch]:
         """Stretches of some rows (K,)."""
         noise = self.head.head.noise if self.is_solved else None
-        return list(stretches(self.t_s, self.R_si, self.covariance_s, noise, rows, self.gyro))
+        return list(stretches(self.t_s, self.R_si, self.covariance_s, noise, rows, self.gyro, self.modes))
 
     def against_gyro(self, late_s: float = 0.0) -> dict[int, tuple[float, float]]:
         """Of stretches that the gyro covers, by their first row: how likely they are with a smooth error as

@@ -15,6 +15,7 @@ or another, tell what is wrong: all errors larger, errors of the instants (along
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -22,7 +23,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.slow_motion import motion_modes
 from boresight.geometry.attitude import ConstantRate
 from boresight.geometry.attitude_noise import AttitudeNoise
-from boresight.geometry.gyro import GyroRecord, without_gap
+from boresight.geometry.gyro import GyroNoise, GyroRecord, without_gap
 from boresight.records.record import Floats, Ints, array, record, scalar
 
 __all__ = ["FACTORS", "Stretch", "stretches"]
@@ -106,27 +107,24 @@ def stretches(
     covariance_s: Floats,
     noise: AttitudeNoise | None,
     rows: Ints,
-    gyro: GyroRecord | None = None,
+    gyro: GyroRecord | None,
+    known: dict[Any, tuple[Floats, ...]],
 ) -> Iterator[Stretch]:
     """Stretches of some rows of a record (N,) with errors of covariance (N, 3, 3), rad², each by itself, and
-    what the noise of the head has in common from row to row; where a gyro covers them, against that.
+    what the noise of the head has in common from row to row; where a gyro covers them, against that. `known`
+    are modes of the same head and gyro, by instants and covariances; those of other ones are added.
     """
     parts = (rows[part] for part in without_gap(t_s[rows]))
     cut = (here for part in parts for here in np.array_split(part, max(-(-len(part) // MOST_ROWS), 1)))
     for here in (here for here in cut if len(here) >= FEWEST_ROWS):
         t, R, own = t_s[here], R_si[here], covariance_s[here]
         motion = ConstantRate.fitted(t, R)
-        turned, middle, each = gyro and gyro.turned(t), len(t) // 2, np.arange(len(t))
+        turned, middle = gyro and gyro.turned(t), len(t) // 2
         D = R * (turned * turned[middle].inv() * R[middle] if turned else motion.R_oi(t)).inv()
-        by_itself, axes = np.linalg.eigh(own.mean(axis=0))
-        full = noise.coloured_covariance_s(t) if noise else np.zeros((len(t), 3, len(t), 3))
-        full[each, :, each, :] += own
-        if gyro and turned:
-            full += gyro.noise.covariance(t)[:, None, :, None] * np.eye(3)[:, None, :]
-        steps = (t - t.mean()) / float(np.median(np.diff(t)))
-        stated = np.einsum("ax,kalx->xkl", axes, full @ axes)
-        shapes = np.multiply.outer(by_itself, _shapes(steps))
-        variance, modes = motion_modes(stated, shapes, np.vander(steps, 3))
+        key = t.tobytes(), own.tobytes(), bool(turned)
+        if key not in known:
+            known[key] = _modes(t, own, noise, gyro.noise if gyro and turned else None)
+        axes, sigma, variance, modes = known[key]
         yield Stretch(
             rows=here,
             turns=(D * D[middle].inv()).as_rotvec() @ axes,
@@ -134,9 +132,24 @@ def stretches(
             modes=modes,
             rate=-motion.omega_o @ axes,
             t_s=t,
-            own=np.sqrt(by_itself),
+            own=sigma,
             by_gyro=bool(turned),
         )
+
+
+def _modes(t: Floats, own: Floats, noise: AttitudeNoise | None, gyro: GyroNoise | None) -> tuple[Floats, ...]:
+    """What does not depend on attitudes, at instants (K,) with errors of covariances (K, 3, 3) and of a head
+    and a gyro: the axes of the errors (3, 3), and `own`, `variance` and `modes` of the stretch.
+    """
+    each, (by_itself, axes) = np.arange(len(t)), np.linalg.eigh(own.mean(axis=0))
+    full = noise.coloured_covariance_s(t) if noise else np.zeros((len(t), 3, len(t), 3))
+    full[each, :, each, :] += own
+    if gyro:
+        full += gyro.covariance(t)[:, None, :, None] * np.eye(3)[:, None, :]
+    steps = (t - t.mean()) / float(np.median(np.diff(t)))
+    stated = np.einsum("ax,kalx->xkl", axes, full @ axes)
+    shapes = np.multiply.outer(by_itself, _shapes(steps))
+    return axes, np.sqrt(by_itself), *motion_modes(stated, shapes, np.vander(steps, 3))
 
 
 def _shapes(t: Floats) -> Floats:

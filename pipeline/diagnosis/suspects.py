@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import groupby
 
 import numpy as np
@@ -15,6 +16,7 @@ from boresight.calib.finding import Finding
 from boresight.calib.reliability import Contradiction
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
+from boresight.geometry.pushbroom import Pushbroom
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, compass, displaced_m, pushbroom_of
 from boresight.pipeline.stages.strip_tasks import fitting_slip
 from boresight.records.ledger import Kind, Ledger, Subject, list_words
@@ -50,6 +52,11 @@ class MeasuredTargets:
         known = {"R_cs": R_cs, "sigma_installation_rad": np.zeros(3)}  # beside what a target is off
         return cls({task.strip.strip_id: replace(task, **known) for task in tasks}, xy_px)
 
+    @cached_property
+    def models(self) -> dict[str, Pushbroom]:
+        """Rigorous models of the strips."""
+        return {strip_id: pushbroom_of(task) for strip_id, task in self.tasks.items()}
+
     def is_point(self, subject: Subject) -> bool:
         """Whether a target is a point that others measured: without a chip."""
         points = self.tasks[subject.strip].points.targets
@@ -65,13 +72,13 @@ class MeasuredTargets:
     def displaced(self, suspect: Contradiction) -> tuple[float, float, float]:
         """How far a stated place lies east and north of the true one, and the 1-sigma of that distance, m."""
         subject = suspect.subject
-        task, xy_px = self.tasks[subject.strip], self.xy_px[subject]
-        stated_m = np.array(displaced_m(task, subject.id, subject.ccd, xy_px))
-        ccd, line = np.array([subject.ccd]), np.array([xy_px[1]])
-        t_s = np.asarray(pushbroom_of(task).instants_of_lines(ccd, line))
-        lat, lon, _ = geodetic_from_ecef(task.places[subject.id].p_e[None], WGS84)
-        axes_i = task.orbit.earth.matrices_ie(t_s)[0] @ local_axes_e(lat, lon)[0]
-        axes_o = task.orbit.R_oi(t_s).as_matrix()[0] @ axes_i
+        model, xy_px = self.models[subject.strip], self.xy_px[subject]
+        p_e = self.tasks[subject.strip].places[subject.id].p_e
+        stated_m = np.array(displaced_m(model, p_e, subject.ccd, xy_px))
+        t_s = np.asarray(model.instants_of_lines(subject.ccd, np.array([xy_px[1]])))
+        lat, lon, _ = geodetic_from_ecef(p_e[None], WGS84)
+        axes_i = model.earth.matrices_ie(t_s)[0] @ local_axes_e(lat, lon)[0]
+        axes_o = self.tasks[subject.strip].orbit.R_oi(t_s).as_matrix()[0] @ axes_i
         off_m, covariance = suspect.displaced_m(stated_m, axes_o[:, :2])
         along = off_m / max(float(np.hypot(*off_m)), 1e-9)
         return float(off_m[0]), float(off_m[1]), float(np.sqrt(along @ covariance @ along))

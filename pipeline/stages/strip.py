@@ -327,10 +327,9 @@ def _not_matched(task: StripTask, refusal: Entry) -> Entry:
     strip, subject = task.strip, refusal.subject
     detail, slip = "", ""
     if refusal.reason is Reason.INCONSISTENT:
-        place_e = task.places[subject.id].p_e
-        predicted_px = np.concatenate(pushbroom_of(task).pixels_from_ground(subject.ccd, place_e[None]))
-        shown_px = (predicted_px + refusal.more).tolist()
-        off = compass(*displaced_m(task, subject.id, subject.ccd, shown_px))
+        model, place_e = pushbroom_of(task), task.places[subject.id].p_e
+        predicted_px = np.concatenate(model.pixels_from_ground(subject.ccd, place_e[None]))
+        off = compass(*displaced_m(model, place_e, subject.ccd, (predicted_px + refusal.more).tolist()))
         detail = f"its chip or coordinates lie about {off} of the true place"
     elif refusal.reason is Reason.OUTSIDE_CHIP:
         n = next(n for n, target in enumerate(task.targets) if target.target_id == subject.id)
@@ -344,11 +343,10 @@ def _not_matched(task: StripTask, refusal: Entry) -> Entry:
     )
 
 
-def displaced_m(task: StripTask, target_id: str, ccd: int, xy_px: Sequence[float]) -> tuple[float, float]:
-    """How far a target's stated place lies east and north of that shown at (sample, line), m."""
-    p_e = task.places[target_id].p_e
+def displaced_m(model: Pushbroom, p_e: Floats, ccd: int, xy_px: Sequence[float]) -> tuple[float, float]:
+    """How far a place (3,), frame e, lies east and north of that shown at (sample, line), m."""
     lat, lon, height = geodetic_from_ecef(p_e[None])
-    model, level = pushbroom_of(task), ConstantHeight(float(height[0]))
+    level = ConstantHeight(float(height[0]))
     there = model.ground_points(ccd, np.array([xy_px[0]]), np.array([xy_px[1]]), level)
     east_m, north_m = (local_axes_e(lat, lon)[0].T @ (p_e - there[0]))[:2].tolist()
     return east_m, north_m
@@ -425,6 +423,8 @@ def targets_near(
     task: StripTask, targets: Sequence[Target], chips: Sequence[ChipFile]
 ) -> tuple[tuple[Target, ...], tuple[ChipFile, ...]]:
     """Targets and chips that the strip might show, with a margin: all that its outcome depends on."""
+    if not targets:
+        return (), ()
     model = pushbroom_of(task)
     corners_e = footprint_e(task).reshape(-1, 3)
     ground_e = corners_e[np.isfinite(corners_e).all(axis=1)]

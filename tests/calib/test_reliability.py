@@ -14,7 +14,7 @@ from scipy.stats import binom, chi2, kstest, ncx2
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.finding import MOST_WORDS
 from boresight.calib.hypotheses import HypothesisInputs, hypotheses
-from boresight.calib.reliability import PROBABILITY_FOUND, Contradiction, _fit, _tests, blind_spots, examine
+from boresight.calib.reliability import PROBABILITY_FOUND, Contradiction, _fits, _tests, blind_spots, examine
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import prepare_strip
 from boresight.geometry.attitude_estimate import with_attitudes
@@ -214,7 +214,7 @@ def test_what_is_left_of_a_hypothesis_beside_others_is_what_it_has_as_a_further_
     own, given, right, _, by_theta = one.beside(one.step, chosen)
     seen = np.flatnonzero(own > 1e-6 * np.maximum(given, own + by_theta))
     own, given, right = own[seen], given[seen], right[seen]
-    fits = [_fit(one, [*chosen, n], one.solved(one.step.weight > 0.0)) for n in seen.tolist()]
+    fits = list(_fits(one, [[*chosen, n] for n in seen.tolist()], one.solved(one.step.weight > 0.0)))
     alone = np.array([(fit.size[-1], fit.sigma[-1]) for fit in fits])
     np.testing.assert_allclose(np.transpose([right / own, own**-0.5]), alone, rtol=1e-6)
     assert len(seen) > 70 and np.min(own / given) < 0.5  # some explain much the same

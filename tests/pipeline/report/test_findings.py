@@ -272,7 +272,7 @@ def test_the_place_of_an_inconsistent_chip_is_found_on_the_ground(calibration):
     subject = Subject(Kind.TARGET, ccd=ccd, id=name)
     refusal = Entry(subject, Reason.INCONSISTENT, value=9.0, limit=4.0, more=off)
     # m: the ground is not a plane
-    assert displaced_m(task, name, ccd, tuple(pixels[0])) == approx((60.0, -25.0), abs=0.05)
+    assert displaced_m(model, p_e, ccd, tuple(pixels[0])) == approx((60.0, -25.0), abs=0.05)
     assert "about 60 m east, 25 m south of the true place" in _not_matched(task, refusal).detail
 
 
