@@ -90,13 +90,6 @@ def test_head_as_frame_a_gives_the_inverse(tmp_path: Path) -> None:
     assert rows.R_si[0].as_matrix() == pytest.approx(matrix_a_to_b(*Q[0]).T, abs=1e-12)
 
 
-def test_variances_are_those_of_the_head(tmp_path: Path) -> None:
-    rows = read(tmp_path, MESSAGE + COVARIANCE)
-    assert rows.covariance_s is not None
-    expected = np.diag(np.radians(np.sqrt([1e-8, 2e-8, 4e-6])) ** 2)
-    assert rows.covariance_s[1] == pytest.approx(expected, rel=1e-12)
-
-
 def test_several_blocks_of_one_head_follow_one_another(tmp_path: Path) -> None:
     block = MESSAGE[MESSAGE.index("ATT_START") :]
     later = "".join(f"{0.3 + 0.1 * n:.1f}{line[3:]}\n" for n, line in enumerate(block.splitlines()[6:9]))

@@ -78,7 +78,7 @@ def test_program_follows_imports_and_knows_data_folders_and_libraries(tmp_path, 
         "stage": "from made_package import reader\ndef f():\n    from made_package.late import g",
         "reader": "A = 1",
         "late": "from made_package.deeper import (\n    h,\n)",
-        "deeper": "h = 1",
+        "deeper": "from made_package.inner.module import h",
         "other": "B = 1",
     }.items():
         (root / f"{name}.py").write_text(text + "\n")
@@ -91,10 +91,11 @@ def test_program_follows_imports_and_knows_data_folders_and_libraries(tmp_path, 
         return program_digest(of)
 
     keys = [key()]
-    for file in ("__init__.py", "stage.py", "reader.py", "late.py", "deeper.py", "data/table.bin"):
+    modules = ("__init__.py", "stage.py", "reader.py", "late.py", "deeper.py", "inner/__init__.py")
+    for file in (*modules, "data/table.bin"):
         (root / file).write_text((root / file).read_text() + "# changed\n")
         keys.append(key())
-    assert len(set(keys)) == 7
+    assert len(set(keys)) == 8
     (root / "other.py").write_text("B = 2\n")
     assert key() == keys[-1]
     whole = key("made_package")
@@ -106,7 +107,7 @@ def test_program_follows_imports_and_knows_data_folders_and_libraries(tmp_path, 
         changed = versions | {name: "0"}
         monkeypatch.setattr(program_key, "library_versions", lambda changed=changed: changed)
         keys.append(key())
-    assert len(set(keys)) == 7 + len(versions)
+    assert len(set(keys)) == 8 + len(versions)
     program_digest.cache_clear()
     digests._module.cache_clear()
 
