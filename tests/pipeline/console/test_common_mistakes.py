@@ -1,14 +1,10 @@
 """Common mistakes: each message names the file or option, the cause, and what to write instead."""
 
-import re
-import shutil
 from pathlib import Path
 
 import pytest
 from command_line import ended
-from edits import replaced
 from handmade import write_handmade_dump
-from wrong_dumps import WRONG
 
 
 @pytest.fixture(scope="module")
@@ -40,15 +36,6 @@ ON_THE_COMMAND_LINE: dict[str, tuple[str, int, str, str, str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("file", "old", "new", "field", "says"), WRONG[::7])
-def test_mistake_in_a_dump_is_one_line(file, old, new, field, says, sound, tmp_path, capsys):
-    dump = shutil.copytree(sound, tmp_path / "dump")
-    replaced(dump / file, old, new, 1)
-    status, text = ended(capsys, "calibrate", dump, "--out", tmp_path / "result")
-    assert status == 1 and text.count("\n") == 1
-    assert re.search(f"{file}: {re.escape(field)}: .*{says}", text), text
-
-
 @pytest.mark.parametrize("mistake", ON_THE_COMMAND_LINE)
 def test_mistake_on_the_command_line_is_explained(mistake, sound, tmp_path, capsys):
     command, expected, *says = ON_THE_COMMAND_LINE[mistake]
@@ -57,4 +44,5 @@ def test_mistake_on_the_command_line_is_explained(mistake, sound, tmp_path, caps
     (tmp_path / "settings.toml").write_text("[match]\ncorrelation = 0.5\n")
     status, text = ended(capsys, *command.format(dump=sound, here=tmp_path).split(" "))
     assert status == expected and "Traceback" not in text, text
+    assert status == 2 or command.startswith("identify") or text.count("\n") == 1, text
     assert [part for part in says if part not in text] == [], text

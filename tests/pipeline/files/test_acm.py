@@ -1,5 +1,6 @@
 """Attitudes from a CCSDS ACM: by the standard's matrix, and as this program's own export writes them."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -89,22 +90,6 @@ def test_head_as_frame_a_gives_the_inverse(tmp_path: Path) -> None:
     assert rows.R_si[0].as_matrix() == pytest.approx(matrix_a_to_b(*Q[0]).T, abs=1e-12)
 
 
-def test_dates_and_other_scales_are_the_same_instants(tmp_path: Path) -> None:
-    dated = MESSAGE
-    for n in range(3):
-        dated = dated.replace(f"\n0.{n} ", f"\n2025-03-20T02:31:00.{5 + n} ")
-    assert read(tmp_path, dated).t_s == pytest.approx([0.5, 0.6, 0.7], abs=1e-9)
-    tai = MESSAGE.replace("= UTC", "= TAI").replace("02:31:00.5", "02:31:37.5")  # TAI - UTC is 37 s in 2025
-    assert read(tmp_path, tai).t_s == pytest.approx([0.5, 0.6, 0.7], abs=1e-9)
-
-
-def test_variances_are_those_of_the_head(tmp_path: Path) -> None:
-    rows = read(tmp_path, MESSAGE + COVARIANCE)
-    assert rows.covariance_s is not None
-    expected = np.diag(np.radians(np.sqrt([1e-8, 2e-8, 4e-6])) ** 2)
-    assert rows.covariance_s[1] == pytest.approx(expected, rel=1e-12)
-
-
 def test_several_blocks_of_one_head_follow_one_another(tmp_path: Path) -> None:
     block = MESSAGE[MESSAGE.index("ATT_START") :]
     later = "".join(f"{0.3 + 0.1 * n:.1f}{line[3:]}\n" for n, line in enumerate(block.splitlines()[6:9]))
@@ -153,6 +138,7 @@ def test_the_exported_message_is_read_with_its_variances(tmp_path: Path) -> None
         ("COV_REF_FRAME = STR1", "COV_REF_FRAME = ICRF", "found ANGLE in ICRF, expected ANGLE in STR1"),
         ("0.2 1e-8 2e-8 5e-6\n", "", "COV_START: found 2 covariances, expected one at each of 3 attitudes"),
         ("0.2 1e-8 2e-8 5e-6", "0.2 1e-8 2e-8 -5e-6", "expected positive variances"),
+        ("RATE_TYPE = ANGVEL\n", "RATE_TYPE = ANGVEL\nSENSOR_START\n", "line 22: found SENSOR_START"),
     ],
 )  # fmt: skip
 def test_what_is_not_read_is_named(old: str, new: str, complaint: str, tmp_path: Path) -> None:
@@ -202,12 +188,42 @@ def in_xml(message: str) -> str:
     return "\n".join([*out, "</data></segment></body></acm>"])
 
 
-def test_xml_is_read_as_keyword_value(tmp_path: Path) -> None:
-    one, other = read(tmp_path, MESSAGE + COVARIANCE), read(tmp_path, in_xml(MESSAGE + COVARIANCE))
-    assert np.array_equal(one.t_s, other.t_s)
-    assert np.array_equal(one.R_si.as_quat(), other.R_si.as_quat())
-    assert one.covariance_s is not None and other.covariance_s is not None
-    assert np.array_equal(one.covariance_s, other.covariance_s)
+def dated(day: str) -> str:
+    """The message with a date on each of its rows, after 2025-03-20T02:31:00.5."""
+    return re.sub(r"\n0\.(\d) ", lambda row: f"\n{day}T02:31:00.{5 + int(row[1])} ", MESSAGE)
+
+
+# As in figures G-7 and G-9 of CCSDS 504.0-B-2.
+SENSORS = "".join(f"SENSOR_START\nSENSOR_NUMBER = {n}\nSENSOR_USED = AST\nSENSOR_STOP\n" for n in (1, 2))
+OF_YEAR = MESSAGE.replace("2025-03-20T", "2025-079T").replace("00.5\n", "00.5Z\n")
+SAME = {
+    "dates": dated("2025-03-20"),
+    "days of the year": dated("2025-079"),
+    "day of the year of the first": OF_YEAR,
+    "TAI": MESSAGE.replace("= UTC", "= TAI").replace("02:31:00.5", "02:31:37.5"),  # 37 s ahead in 2025
+    "TAI, day of the year": OF_YEAR.replace("= UTC", "= TAI").replace("02:31:00.5", "02:31:37.5"),
+    "GPS, day of the year": OF_YEAR.replace("= UTC", "= GPS").replace("02:31:00.5", "02:31:18.5"),  # 18 s
+    "sensors": "\n" + MESSAGE.replace("AD_STOP\n", f"{SENSORS}AD_STOP\n"),
+    "XML": in_xml(MESSAGE + COVARIANCE),
+}
+
+
+@pytest.mark.parametrize("form", SAME)
+def test_what_says_the_same_is_read_the_same(form: str, tmp_path: Path) -> None:
+    plain = read(tmp_path, MESSAGE + COVARIANCE * ("XML" in form))
+    found = read(tmp_path, SAME[form])
+    assert SAME[form] != MESSAGE and np.allclose(found.t_s, plain.t_s, rtol=0, atol=1e-9)  # s
+    assert np.array_equal(found.R_si.as_quat(), plain.R_si.as_quat())
+    assert np.array_equal(found.covariance_s, plain.covariance_s)
+
+
+def test_day_that_a_year_has_not_is_named_by_its_line(tmp_path: Path) -> None:
+    says = r"line 22, time: found 2025-379T02:31:00\.5, expected a day of that year"
+    with pytest.raises(RawDataError, match=says):
+        read(tmp_path, dated("2025-379"))
+
+
+def test_wrong_number_of_xml_is_named_by_its_line(tmp_path: Path) -> None:
     broken = in_xml(MESSAGE).replace("0.1 0.5 0.1 0.5 -0.7", "0.1 0.5 0.1 x -0.7")
     with pytest.raises(RawDataError, match=r"str1\.acm: att 1, attLine 2, Q3: found x"):
         read(tmp_path, broken)
@@ -239,30 +255,3 @@ def test_a_sequence_of_angles_that_is_none_is_named(sequence: str, tmp_path: Pat
     text = MESSAGE.replace("ATT_TYPE = QUATERNION", f"ATT_TYPE = EULER_ANGLES\nEULER_ROT_SEQ = {sequence}")
     with pytest.raises(RawDataError, match=rf"line 21, EULER_ROT_SEQ: found {sequence}, expected three axes"):
         read(tmp_path, text)
-
-
-@pytest.mark.parametrize("scale", ["UTC", "TAI", "GPS"])
-def test_times_may_be_days_of_the_year(scale: str, tmp_path: Path) -> None:
-    text = MESSAGE.replace("SYSTEM = UTC", f"SYSTEM = {scale}")
-    of_year = text.replace("2025-03-20T", "2025-079T").replace("00.5\n", "00.5Z\n")
-    assert of_year.count("2025-079T") == 1
-    dates = text.replace("\n0.", "\n2025-079T02:31:00.")
-    assert np.array_equal(read(tmp_path, of_year).t_s, read(tmp_path, text).t_s)
-    assert np.allclose(read(tmp_path, dates).t_s + 0.5, read(tmp_path, text).t_s, atol=1e-9)  # s
-    with pytest.raises(
-        RawDataError, match=r"line 22, time: found 2025-379T02:31:00\.0, expected a day of that year"
-    ):
-        read(tmp_path, dates.replace("2025-079", "2025-379"))
-
-
-def test_sensors_inside_attitude_determination_are_not_read(tmp_path: Path) -> None:
-    # As in figures G-7 and G-9 of CCSDS 504.0-B-2.
-    sensors = "".join(f"SENSOR_START\nSENSOR_NUMBER = {n}\nSENSOR_USED = AST\nSENSOR_STOP\n" for n in (1, 2))
-    text = MESSAGE.replace("AD_STOP\n", f"{sensors}AD_STOP\n")
-    (tmp_path / "a.acm").write_text(MESSAGE)
-    (tmp_path / "b.acm").write_text("\n" + text)
-    one, other = (read_attitudes(tmp_path / n, n, EPOCH, None, None) for n in ("a.acm", "b.acm"))
-    assert np.array_equal(one.R_si.as_quat(), other.R_si.as_quat())
-    (tmp_path / "b.acm").write_text(MESSAGE.replace("RATE_TYPE = ANGVEL\n", f"RATE_TYPE = ANGVEL\n{sensors}"))
-    with pytest.raises(RawDataError, match="line 22: found SENSOR_START"):
-        read_attitudes(tmp_path / "b.acm", "b.acm", EPOCH, None, None)

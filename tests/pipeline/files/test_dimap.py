@@ -166,18 +166,6 @@ def test_product_in_version_2_has_the_places_of_version_1(tmp_path, options):
     assert np.linalg.norm(places(tmp_path / "v2.xml") - expected, axis=1).max() < 2e-3  # m
 
 
-@needs_real_data
-@pytest.mark.parametrize("options", VERSIONS_2, ids=["polynomials", "other column", "list, microseconds"])
-def test_real_strip_in_version_2_lies_where_its_operator_puts_it(tmp_path, operator_grid, options):
-    (tmp_path / "v2.xml").write_text(as_version_2(DIMAP.read_text(), **options))
-    sample, line, _, _ = operator_grid
-    strip = read(tmp_path / "v2.xml")
-    off = strip.pushbroom.ground_points(0, sample, line, ConstantHeight(0.0))
-    same = read(DIMAP).pushbroom
-    expected = same.ground_points(0, sample, line, ConstantHeight(0.0))
-    assert np.linalg.norm(off - expected, axis=1).max() < 2e-3  # m
-
-
 @pytest.mark.parametrize("inertial", [True, False])
 def test_velocities_are_relative_to_whichever_axes_the_positions_show(tmp_path, inertial):
     text = dimap_text()

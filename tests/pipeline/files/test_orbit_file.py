@@ -90,24 +90,38 @@ def test_message_of_another_form_is_that_of_the_library(changed, tmp_path: Path)
     assert_as_library(written(tmp_path, changed(text_of(20))))
 
 
-def test_byte_order_mark_is_no_part_of_the_text(tmp_path: Path) -> None:
-    for text in (text_of(20), text_of(20).replace("\n\n", "\nCOMMENT é\n\n")):
-        plain = read(tmp_path, text)
-        marked = read(tmp_path, "\ufeff" + text)
-        assert marked.epoch == plain.epoch and np.array_equal(marked.t_s, plain.t_s)
-        assert np.array_equal(marked.positions_m, plain.positions_m)
+VERSION = "CCSDS_OEM_VERS = 2.0\n"
+SAME: dict[str, Callable[[str], str]] = {
+    "byte order mark": lambda text: "\ufeff" + text,
+    "byte order mark, other letters": lambda text: "\ufeff" + text.replace("\n\n", "\nCOMMENT é\n\n"),
+    "empty lines": lambda text: "\n \n" + text,
+    "version 3": lambda text: text.replace(
+        VERSION, "CCSDS_OEM_VERS = 3.0\nCLASSIFICATION = public, no limits\nMESSAGE_ID = OEM 201113719185\n"
+    ),
+}
 
 
-@pytest.mark.parametrize("number", ["6_908.0", "６９０８.0", "٦٩٠٨.0"])
-def test_number_that_other_programs_do_not_read_is_refused(number: str, tmp_path: Path) -> None:
-    text = text_of(20).replace("6908.000000000", number, 1)
-    with pytest.raises(RawDataError, match=r"orbit.oem: line 15, X: found .*ASCII digits"):
-        read(tmp_path, text)
+@pytest.mark.parametrize("form", SAME)
+def test_what_says_the_same_is_read_the_same(form: str, tmp_path: Path) -> None:
+    text = text_of(20)
+    other = SAME[form](text)
+    plain, found = read(tmp_path, text), read(tmp_path, other)
+    assert other != text and found.epoch == plain.epoch and np.array_equal(found.t_s, plain.t_s)
+    assert np.array_equal(found.positions_m, plain.positions_m)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
+        *(
+            ("6908.000000000", number, r"orbit.oem: line 15, X: found .*ASCII digits")
+            for number in ("6_908.0", "６９０８.0", "٦٩٠٨.0")
+        ),
+        (" 0.0 ", " 1.0O5 ", "line 15, Z: found 1.0O5"),
+        (" 0.0 ", " ", "line 15: found 6 words: 2016-12-31T23:59:30.000"),
+        (" 0.0 ", " 0.0 1 2 ", "line 15: found 9 words"),
+        ("2016-12-31T23:59:31.000 ", "2016-12-31 ", "line 16, time: found 2016-12-31,"),
+        (VERSION, "\n \nCCSDS_OEM_VERS = 3.5\n", "line 3, CCSDS_OEM_VERS: found 3.5"),
         ("2016-12-31T23:59:31.000 ", "2016-13-31T23:59:31.000 ", "times that exist"),
         ("2016-12-31T23:59:31.000 ", "2016-12-31T23:59:30.000 ", "strictly increasing"),
         ("REF_FRAME = GCRF\n", "", "META_START of line 5, REF_FRAME: found nothing"),
@@ -154,11 +168,12 @@ def cpu_s(work: Callable[[], object]) -> float:
     return time.process_time() - begin
 
 
-def test_states_in_eme2000_are_rotated_by_the_frame_bias(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["EME2000", "J2000"])
+def test_states_in_eme2000_are_rotated_by_the_frame_bias(name: str, tmp_path: Path) -> None:
     # The precession of IAU 2006 at J2000 is the frame bias alone, 23 mas or 0.8 m; 0.2 µas from that of 2000.
     text = text_of(10)
     here = read(tmp_path, text)
-    there = read(tmp_path, text.replace("= GCRF", "= EME2000"))
+    there = read(tmp_path, text.replace("= GCRF", f"= {name}"))
     bias = erfa.pmat06(2451545.0, 0.0)
     assert there.frame == "GCRF"
     assert np.abs(there.positions_m @ bias.T - here.positions_m).max() < 1e-5  # m
@@ -191,21 +206,13 @@ def test_xml_is_read_as_the_keyword_form_is(tmp_path: Path) -> None:
         assert error.value.field == field
 
 
-def test_third_version_with_its_own_keywords_is_read_in_both_forms(tmp_path: Path) -> None:
-    head = "CCSDS_OEM_VERS = 2.0\n"
-    own = "CCSDS_OEM_VERS = 3.0\nCLASSIFICATION = public, no limits\nMESSAGE_ID = OEM 201113719185\n"
-    text = text_of(10)
-    assert head in text
-    plain = read(tmp_path, text)
-    third = read(tmp_path, text.replace(head, own))
-    assert np.array_equal(third.positions_m, plain.positions_m) and np.array_equal(third.t_s, plain.t_s)
-    OrbitEphemerisMessage.open(written(tmp_path, text)).save_as(tmp_path / "orbit.xml", file_format="xml")
+def test_third_version_with_its_own_keywords_is_read_in_xml(tmp_path: Path) -> None:
+    plain = read(tmp_path, text_of(10))
+    OrbitEphemerisMessage.open(tmp_path / "orbit.oem").save_as(tmp_path / "orbit.xml", file_format="xml")
     xml = (tmp_path / "orbit.xml").read_text().replace('version="2.0"', 'version="3.0"', 1)
     assert 'version="3.0"' in xml
     (tmp_path / "third.xml").write_text(xml.replace("<header>", "<header><MESSAGE_ID>7</MESSAGE_ID>", 1))
     assert np.array_equal(read_oem(tmp_path / "third.xml", "third.xml").positions_m, plain.positions_m)
-    with pytest.raises(RawDataError, match=r"CCSDS_OEM_VERS: found 4\.0, expected 1\.0, 2\.0, 3\.0"):
-        read(tmp_path, text.replace(head, "CCSDS_OEM_VERS = 4.0\n"))
 
 
 def two_segments(text: str, later: str = "2017-01-01T00:00:31.000") -> str:
@@ -276,18 +283,6 @@ def test_as_many_states_are_enough_as_the_interpolation_needs(tmp_path: Path) ->
             read(tmp_path, less)
 
 
-def test_j2000_is_eme2000(tmp_path: Path) -> None:
-    names = ("EME2000", "J2000")
-    one, other = (read(tmp_path, text_of(10).replace("= GCRF", f"= {name}")) for name in names)
-    assert np.array_equal(one.positions_m, other.positions_m)
-
-
-def test_empty_lines_may_stand_before_the_message_and_count(tmp_path: Path) -> None:
-    assert len(read(tmp_path, "\n \n" + text_of(10)).t_s) == 10
-    with pytest.raises(RawDataError, match="line 10, CENTER_NAME: found MARS"):
-        read(tmp_path, "\n \n" + text_of(10).replace("EARTH", "MARS"))
-
-
 def test_the_one_orbit_in_a_combined_message_is_read(tmp_path: Path) -> None:
     OrbitEphemerisMessage.open(written(tmp_path, text_of(10))).save_as(tmp_path / "a.xml", file_format="xml")
     declaration, _, message = (tmp_path / "a.xml").read_text().partition("<oem")
@@ -307,20 +302,6 @@ def test_states_may_be_minutes_apart_but_not_an_eighth_of_a_revolution(tmp_path:
         found = read(tmp_path, text_of(12, PLAIN, "2017-04-11T00:00:00", step_s))
         with pytest.raises(RawDataError, match=says) if step_s > 600.0 else nullcontext():
             orbit_of(found, "orbit.oem", bundled_table(), allow_stale_eop=False)
-
-
-def test_wrong_number_is_named_by_line_and_value(tmp_path: Path) -> None:
-    lines = text_of(12).splitlines()
-    row = next(n for n, line in enumerate(lines) if line.startswith("2016-12-31T23:59:33.000"))
-    words = lines[row].split()
-    for cells, complaint in (
-        ([*words[:2], "1.0O5", *words[3:]], f"line {row + 1}, Y: found 1.0O5"),
-        (words[:6], f"line {row + 1}: found 6 words: 2016-12-31T23:59:33.000"),
-        ([*words, "1", "2"], f"line {row + 1}: found 9 words"),
-        (["2016-12-31", *words[1:]], f"line {row + 1}, time: found 2016-12-31,"),
-    ):
-        with pytest.raises(RawDataError, match=complaint):
-            read(tmp_path, "\n".join([*lines[:row], " ".join(cells), *lines[row + 1 :]]))
 
 
 def test_compressed_message_is_the_plain_one_and_a_bomb_is_not_unpacked(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """What the report asks to look at: each pattern names its cause and its items, and good data give none."""
 
+import re
 from types import SimpleNamespace
 
 import cv2
@@ -155,20 +156,24 @@ def test_targets_between_two_lines_of_a_strip_that_are_off_alike_are_one_finding
         assert apart and not [one for one in apart if one.cause.startswith("lines")]
 
 
-def test_many_targets_of_a_strip_are_one_finding():
-    off = [suspected("s1", f"t{n}", ccd=n % 3) for n in range(10)]
-    (found,) = single(off, in_view(THREE, 3, 4))
-    assert found.item == "10 targets in strip s1" and len(found.explains) == 10
-    assert single(off, in_view(THREE, 3, 4), is_explained=True) == []
+OF_A_STRIP = [suspected("s1", f"t{n}", ccd=n % 3) for n in range(10)]
+OF_ALL = [suspected(f"s{k}", f"t{n}", ccd=n % 3) for k in (1, 2, 3) for n in range(9 + k)]
+OF_TWO_CCDS = [suspected("s2", f"t{n}", ccd=1 + n % 2) for n in range(11)]
 
 
-def test_targets_that_are_off_in_all_strips_are_one_finding_that_accuses_no_strip():
-    off = [suspected(f"s{k}", f"t{n}", ccd=n % 3) for k in (1, 2, 3) for n in range(9 + k)]
-    (found,) = single(off, in_view(THREE, 3, 4), Apart)
-    assert found.item == "33 targets of all strips" and len(found.explains) == 33
-    assert "x_offset_mm" in found.text and "targets.csv" in found.text
-    assert len(f"{found.cause} {found.item} {found.text}".split()) <= MOST_WORDS
-    assert single(off, in_view(THREE, 3, 4), is_explained=True) == []
+@pytest.mark.parametrize(
+    ("off", "ccds", "found", "measured", "item", "file", "words"),
+    [
+        (OF_A_STRIP, 3, 4, Measured, "10 targets in strip s1", "", ""),
+        (OF_ALL, 3, 4, Apart, "33 targets of all strips", "", "x_offset_mm.*targets.csv"),
+        (OF_TWO_CCDS, 4, 6, Apart, "CCD 1 and CCD 2 in strip s2", "strips.csv", "exchanged"),
+    ],
+)
+def test_many_targets_are_one_finding_about_what_they_share(off, ccds, found, measured, item, file, words):
+    (one,) = single(off, in_view(THREE, ccds, found), measured)
+    assert one.item == item and len(one.explains) == len(off) and file in one.file
+    assert re.search(words, one.text) and len(f"{one.cause} {one.item} {one.text}".split()) <= MOST_WORDS
+    assert single(off, in_view(THREE, ccds, found), is_explained=True) == []
 
 
 def test_many_targets_of_a_ccd_are_one_finding_about_its_look_directions():
@@ -176,13 +181,6 @@ def test_many_targets_of_a_ccd_are_one_finding_about_its_look_directions():
     found, other = single([*off, suspected("s2", "t9", ccd=1)], in_view(THREE, 3, 4))
     assert found.item == "CCD 2" and len(found.explains) == 9 and "rotation_mrad" in found.text
     assert other.item == "target t9 (strip s2)"
-
-
-def test_all_targets_of_two_ccds_in_one_strip_are_one_finding_about_its_images():
-    off = [suspected("s2", f"t{n}", ccd=1 + n % 2) for n in range(11)]
-    (found,) = single(off, in_view(THREE, 4, 6), Apart)
-    assert found.item == "CCD 1 and CCD 2 in strip s2" and len(found.explains) == 11
-    assert found.file == "strips.csv" and "exchanged" in found.text
 
 
 def test_targets_of_several_ccds_that_are_off_alike_are_told_by_how_far():

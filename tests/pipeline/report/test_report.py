@@ -1,5 +1,6 @@
 """The report as a document: complete, self-contained, and every number in it the one that was saved."""
 
+import hashlib
 import json
 import re
 import shutil
@@ -14,7 +15,6 @@ import pyarrow.parquet as pq
 import pytest
 from command_line import ran
 from matplotlib.path import Path as MplPath
-from pytest import approx
 from report_page import report_html
 
 from boresight.pipeline.console import report_command
@@ -157,23 +157,6 @@ def test_every_target_has_a_row_a_card_a_place_on_the_map_and_in_four_plots(page
         assert marks.count(f"#{link}") == 1 and dots.count(link) == 8 and rows.count(link) == 1
 
 
-def test_ground_residuals_are_those_of_the_sightings(finished):
-    # A residual angle times the distance is the length on level ground below: the two differ by the slant of
-    # the view, 1 / cos² of at most 10 degrees, 3 %. The sightings state the angles, the map metres.
-    ground = pq.read_table(finished[1] / "evidence/ground.parquet").to_pandas()
-    targets = pq.read_table(finished[1] / "sightings/targets.parquet").to_pandas()
-    both = ground.merge(targets, on=["strip_id", "target_id", "ccd"])
-    assert len(both) == len(targets)
-    residual_c = np.vstack(both.residual_c) * both.range_m.to_numpy()[:, None]
-    size = np.hypot(both.residual_east_m, both.residual_north_m)
-    assert size.to_numpy() == approx(np.linalg.norm(residual_c, axis=1), rel=0.03)
-    track = both[["residual_along_m", "residual_across_m"]].to_numpy()
-    assert np.linalg.norm(track, axis=1) == approx(size.to_numpy(), rel=1e-9)
-    # x of the camera is along the flight, and y to its right, but for the yaw of a few degrees
-    assert track == approx(residual_c, abs=0.15 * float(size.max()))
-    assert both.sigmas.to_numpy() ** 2 == approx(both.normalised.to_numpy(), rel=1e-9)
-
-
 def test_footprints_hold_the_targets_that_strips_show(finished):
     scenes = json.loads((finished[1] / "evidence/context.json").read_text())["scenes"]
     ground = pq.read_table(finished[1] / "evidence/ground.parquet").to_pandas()
@@ -211,7 +194,9 @@ def test_settings_and_checksums_of_every_input_are_listed(page: Page, finished):
     assert {row["file"] for row in inputs} >= {"dump.toml", "orbit.oem", "star_camera.toml", "targets.csv"}
     assert not any(row["file"].startswith("truth") for row in inputs)
     assert all(row["sha256"] in text and str(row["bytes"]) in text for row in inputs)
-    assert all((dump / row["file"]).stat().st_size == row["bytes"] for row in inputs)
+    for row in inputs:
+        content = (dump / row["file"]).read_bytes()
+        assert (row["bytes"], row["sha256"]) == (len(content), hashlib.sha256(content).hexdigest())
     assert "calibration.sigma_position_m" in text and "match." in text and "packages.numpy" in text
 
 
@@ -319,11 +304,11 @@ def test_a_result_with_next_to_nothing_in_it_gets_a_whole_page_too(finished):
 
 def test_names_of_a_mission_cannot_become_markup(finished):
     saved = read_saved(finished[1])
-    hostile = replace(saved, context=saved.context | {"mission": "\u202e\x1b<script>alert('\"&</script>"})
+    name = "{{ 7 * 7 }} </style><script>alert('\"&</script>"
+    hostile = replace(saved, context=saved.context | {"mission": f"\u202e\x1b{name}"})
     page = Page(report_html(hostile))
-    assert r"\u202e\x1b" in page.texts[0] and not {"\u202e", "\x1b"} & set(page.texts[0])
+    assert rf"\u202e\x1b{name}" in page.texts[0] and not {"\u202e", "\x1b"} & set(page.texts[0])
     assert len(page.all("script")) == 1  # and the cards as data
-    assert "<script>alert('\"&</script>" in page.texts[0]
 
 
 def test_a_folder_without_a_result_gets_a_report_of_what_is_missing(tmp_path):

@@ -14,7 +14,7 @@ from fixture_strips import FIXTURE, strip_of_fixture
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.whole_file import make_own_folder, write_whole
 from boresight.pipeline.results.folder import store_of
-from boresight.pipeline.results.ownership import LOCK, MARKER, claimed, dump_identity
+from boresight.pipeline.results.ownership import LOCK, MARKER, claimed
 from boresight.pipeline.run.settings import RunSettings, Settings
 
 
@@ -240,15 +240,6 @@ def test_result_is_not_used_with_another_dump(command, mine, monkeypatch, capsys
     }[command]
     status, said = ended(capsys, command, str(out), "--dump", str(FIXTURE), *more)
     assert status == 1 and "found another dump" in said
-
-
-def test_identity_of_a_dump_is_that_of_its_tables_wherever_it_lies(one_strip: Path, tmp_path: Path) -> None:
-    moved = tmp_path / "elsewhere"
-    shutil.copytree(one_strip, moved)
-    assert dump_identity(moved) == dump_identity(one_strip)
-    with (moved / "targets.csv").open("a") as file:
-        file.write("\n")
-    assert dump_identity(moved) != dump_identity(one_strip)
 
 
 def test_json_of_a_result_is_json(finished: tuple[Path, Path]) -> None:
