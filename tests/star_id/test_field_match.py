@@ -10,7 +10,6 @@ from boresight.geometry.star_camera import StarCamera
 from boresight.star_id.field import FieldSolution, solve_list
 from boresight.star_id.field_fit import fit_attitude_and_lens
 from boresight.star_id.field_match import match_field
-from boresight.star_id.identification.triangle_index import build_index
 from boresight.star_id.lens_misfit import _largest
 from boresight.star_id.settings import StarSettings
 
@@ -39,19 +38,14 @@ def test_a_star_that_is_not_seen_is_not_matched_with_clutter():
     assert len(found.stars) <= 2
 
 
-@pytest.fixture(scope="module")
-def index():
-    return build_index(PLACES, PLACES.epoch_jyear, (np.radians(40.0), np.radians(60.0)))
-
-
-def test_false_detections_bend_neither_lens_nor_its_stated_error(index):
+def test_false_detections_bend_neither_lens_nor_its_stated_error(wide_index):
     """120 stars and 300 faint false ones in 50 deg: the field's error was nine times the stated one."""
     squares, rng = [], np.random.default_rng(11)
     for _ in range(12):
         R_si = Rotation.random(random_state=rng)
         stars = listed_stars(WIDE, R_si, PLACES, rng, brightest=2000.0)
         stars = stars.take(np.arange(min(120, len(stars.xy_px))))
-        found = solve_list(_with_false(stars, 300, rng), (2048, 2048), index, StarSettings())
+        found = solve_list(_with_false(stars, 300, rng), (2048, 2048), wide_index, StarSettings())
         assert isinstance(found, FieldSolution), found
         axes, true = found.R_si.inv().as_matrix() @ found.camera.middle_axes(), WIDE.middle_axes()
         off = Rotation.from_matrix(axes.T @ R_si.inv().as_matrix() @ true).as_rotvec()
@@ -129,13 +123,11 @@ def test_the_evidence_of_a_misfit_is_followed_along_a_ridge():
     # of 60 deg, stars that an equidistant lens names first: it left up to 0.3 px and a field 5 sigma off
     [(60, "tangent", 2), (60, "tangent", 4), (75, "equidistant", 0)],
 )
-def test_wide_and_fisheye_lenses_of_known_field_are_fitted_to_the_end(fov_deg, projection, seed):
+def test_wide_and_fisheye_lenses_of_known_field_are_fitted_to_the_end(wide_index, fov_deg, projection, seed):
     radius = np.tan if projection == "tangent" else lambda angle: angle
     lens, rng = ForeignLens(fov_deg, radius), np.random.default_rng([seed, fov_deg])
-    narrow = min(0.6 * fov_deg, 25.0)  # of a fisheye the middle 40 degrees are identified first
-    index = build_index(PLACES, PLACES.epoch_jyear, tuple(np.radians([narrow, 1.2 * fov_deg])))
     stars = listed_stars(lens, Rotation.random(random_state=rng), PLACES, rng)
-    found = solve_list(stars, SIZE, index, StarSettings(), fov_x_rad=np.radians(fov_deg))
+    found = solve_list(stars, SIZE, wide_index, StarSettings(), fov_x_rad=np.radians(fov_deg))
     assert isinstance(found, FieldSolution) and found.camera.projection == projection
     assert found.matches > 0.9 * len(stars.xy_px)  # a quarter, where the lens was still changing
     error_px = np.hypot(*lens.error_px(found.camera, stars.xy_px).T)

@@ -173,7 +173,7 @@ def test_an_uncalibrated_camera_is_identified(wide_index, places, fov_given):
         assert np.linalg.norm(centre - [*here, np.sin(found.dec_rad)]) < 0.003 * fov
 
 
-def test_noise_is_never_identified(index, wide_index):
+def test_noise_is_never_identified(index):
     rng = np.random.default_rng(3)
     field, best = field_of_camera(PAPER_CAMERA, SETTINGS), -np.inf
     for _ in range(60):
@@ -182,8 +182,6 @@ def test_noise_is_never_identified(index, wide_index):
         assert isinstance(answer, NotIdentified)
         best = max(best, answer.best_log_odds)
     assert best < 6.0  # 20.7 is asked for; 60 images of noise should come to ln 60 at most
-    xy = rng.uniform([0, 0], SIZE, (40, 2))
-    assert isinstance(solve_stars(xy, SIZE, wide_index, SETTINGS), NotIdentified)
 
 
 def test_stars_of_one_sky_mirrored_are_not_identified(index, places):
@@ -332,13 +330,20 @@ def test_derivatives_of_a_distorted_point_are_those_of_differences():
         np.testing.assert_allclose(found, (a - b) / (2.0 * step), atol=1e-8)
 
 
+@pytest.fixture(scope="module")
+def fainter_index():
+    places = hipparcos_stars(9.0).places
+    return build_index(places, places.epoch_jyear, np.radians(25.0))
+
+
 @pytest.mark.parametrize("off_deg", [0.6, -0.9, 1.2])
 @pytest.mark.parametrize("corner_px", [(150.0, 1900.0), (1900.0, 130.0)])
-def test_an_attitude_that_fits_one_corner_is_refined_until_it_fits_the_whole_image(corner_px, off_deg):
+def test_an_attitude_that_fits_one_corner_is_refined_until_it_fits_the_whole_image(
+    fainter_index, corner_px, off_deg
+):
     """600 stars in 25 deg, attitudes turned about a direction in a corner: of these stars 7 to 28 %
     are matched at first, the attitude 0.1 to 1.2 deg off."""
-    places = hipparcos_stars(9.0).places
-    index = build_index(places, places.epoch_jyear, np.radians(25.0))
+    places, index = fainter_index.stars, fainter_index
     camera = StarCamera(
         focal_m=0.0231, pixel_m=5e-6, width_px=2048, height_px=2048, principal_px=(1026.7, 1013.7), q1=2.2e-4
     )
@@ -362,10 +367,9 @@ def test_an_attitude_that_fits_one_corner_is_refined_until_it_fits_the_whole_ima
     assert np.degrees((found.R_si * R_si.inv()).magnitude()) < 0.06  # a pixel, 1000 px from the middle
 
 
-def test_images_that_miss_most_of_their_stars_are_identified_by_the_best_proposals(places):
+def test_images_that_miss_most_of_their_stars_are_identified_by_the_best_proposals(wide_index, places):
     """Of the stars to V = 8 in 12 deg three in five are missing, 200 fainter detections are no stars of the
     index: 34 of 40 images are identified, 27 before the best proposals were tried however unlikely."""
-    index = build_index(places, places.epoch_jyear, (np.radians(10.0), np.radians(15.0)))
     camera = StarCamera(
         focal_m=0.0487, pixel_m=5e-6, width_px=2048, height_px=2048, principal_px=(1026.7, 1013.7), q1=2.2e-4
     )
@@ -378,7 +382,7 @@ def test_images_that_miss_most_of_their_stars_are_identified_by_the_best_proposa
         brightest = np.argsort(places.v_mag[rows[seen]] + rng.normal(0.0, 0.1, seen.sum()), kind="stable")
         xy = xy[seen][brightest] + rng.normal(0.0, 0.15, (seen.sum(), 2))
         xy = np.vstack([xy, rng.uniform(0.0, 2047.0, (200, 2))])
-        found = solve_stars(xy, (2048, 2048), index, SETTINGS, fov_x_rad=np.radians(12.5))
+        found = solve_stars(xy, (2048, 2048), wide_index, SETTINGS, fov_x_rad=np.radians(12.5))
         identified += bool(found)
         if found:
             assert np.degrees((R_si * found.R_si.inv()).magnitude()) < 1.0  # the axis is not known better

@@ -302,10 +302,6 @@ def test_an_image_too_small_or_not_flat_is_refused():
         list_stars(np.zeros((100, 100, 3), np.uint8), StarSettings())
 
 
-def test_an_image_of_one_value_has_no_stars():
-    assert len(list_stars(np.full((200, 200), 17, np.uint8), StarSettings()).xy_px) == 0
-
-
 def test_the_bound_agrees_with_the_closed_form_for_fine_pixels():
     # Sky-limited Gaussian, known width: sigma_x = sqrt(2) sigma / SNR with SNR = F / (noise sqrt(4 pi
     # sigma^2)).
