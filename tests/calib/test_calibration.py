@@ -34,6 +34,11 @@ def test_stated_covariance_holds_with_every_error_of_table_1():
     assert np.mean(nees > chi2(3).ppf(0.9)) == pytest.approx(0.1, abs=0.07)  # 3.3 sigma of 200 runs
 
 
+def test_without_the_position_nuisance_the_covariance_is_many_times_too_small():
+    nees = normalised_errors(TABLE_1, CalibrationSettings(sigma_position_m=0.0, robust=False), 20, seed=12)
+    assert nees.mean() > 8  # expected 3; 99.99 % of means of 20 lie below 5.3
+
+
 def test_targets_that_all_strips_see_are_one_point_each():
     # as much information as in 10 exposures of 40 stars of 0.06 px
     few = {"exposures": 5, "stars": 15, "sigma_s_px": 0.026}
@@ -42,8 +47,10 @@ def test_targets_that_all_strips_see_are_one_point_each():
         sigma_clock_s=0, sigma_vibration_rad=0, sigma_distortion_rad=0, robust=False
     )
     settings = replace(settings, sigma_position_m=0.0)
-    # 5 m of 6 points do not average over 20 strips
-    assert_chi_square(normalised_errors(plan, settings, 20, seed=21), 3)
+    nees = normalised_errors(plan, settings, 20, seed=21)
+    assert_chi_square(nees, 3)
+    apart = normalised_errors(plan, replace(settings, most_shared_targets=0), 5, seed=21)
+    assert apart.mean() > 15  # expected 3: 5 m of 6 points do not average over 20 strips
 
 
 def test_targets_beyond_the_limit_are_many_points():

@@ -67,8 +67,7 @@ def told(strips: Sequence[StripSightings], estimate: InstallationEstimate) -> Ve
     return assess(estimate, strips, reliability=reliability)
 
 
-@pytest.mark.parametrize(("strips", "runs"), [(1, 40), (3, 20), (10, 8)])
-def test_a_common_offset_that_is_stated_gives_an_honest_covariance(strips: int, runs: int) -> None:
+def squared_errors(strips: int, runs: int, stated: bool) -> list[float]:
     found = []
     for run in range(runs):
         rng = np.random.default_rng([58, strips, run])
@@ -76,10 +75,17 @@ def test_a_common_offset_that_is_stated_gives_an_honest_covariance(strips: int, 
             draw_strips(replace(PLAN, strips=strips), CAMERAS, rng)[0],
             SIGMA_M * rng.normal(size=3),
         )
+        sigma_m = SIGMA_M if stated else np.zeros(3)
         names = ["mosaic"] * PLAN.targets
-        estimate = estimated([referenced(strip, offset_m, names) for strip in drawn])
+        estimate = estimated([referenced(strip, offset_m, names, sigma_m) for strip in drawn])
         found.append(nees_of_estimate(estimate))
-    assert_chi_square(found, 3)
+    return found
+
+
+@pytest.mark.parametrize(("strips", "runs"), [(1, 40), (3, 20), (10, 8)])
+def test_a_common_offset_that_is_stated_gives_an_honest_covariance(strips: int, runs: int) -> None:
+    assert_chi_square(squared_errors(strips, runs, stated=True), 3)
+    assert sum(squared_errors(strips, runs // 2, stated=False)) > 2.0 * 3 * (runs // 2)  # twice too small
 
 
 def test_offsets_that_change_over_correlation_lengths_are_honest() -> None:

@@ -18,6 +18,7 @@ def test_a_strip_breaks_midway_between_rows_with_two_on_either_side(most, expect
     ("times_s", "covered_s", "beyond_s"),
     [
         ([0.0, 2.0, 5.0], [-1.0, 6.5], [-1.01, 6.51]),  # half the first step, half the last
+        ([3.0], [2.5, 3.5], [2.49, 3.51]),  # one exposure: half a second
         ([], [], [0.0, 3.0]),
     ],
 )
