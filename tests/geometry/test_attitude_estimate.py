@@ -111,6 +111,12 @@ def test_attitudes_taken_from_a_set_are_those_of_the_exposures():
     np.testing.assert_array_equal(some.dof, fit.dof[[3, 1, 0]])
 
 
+def test_directions_too_close_together_fix_no_attitude():
+    u_s, u_i, cov_s, _, _, _ = stars([4], seed=3)
+    fit = fit_attitudes(u_s[[0, 0, 0]], u_i[[0, 0, 0]], cov_s[[0, 0, 0]], np.array([0, 3]))
+    assert not fit.usable.any()
+
+
 def test_the_rotation_of_a_wahba_problem_is_that_of_its_vectors():
     rng = np.random.default_rng(17)
     for n in (2, 3, 50):

@@ -23,6 +23,12 @@ def test_vallado_example_3_7_utc_to_tai_gps_and_tt():
     assert ((day - 2451545.0) + since) / 36525.0 == pytest.approx(0.043674121031, abs=1e-12)  # centuries, TT
 
 
+def test_vallado_example_3_4_julian_date():
+    # Vallado, 4th ed., example 3-4: 1996-10-26 14:20:00 is JD 2450383.09722222 (here on the scale of UTC).
+    day, since = Epoch.from_utc("1996-10-26T14:20:00").tai_jd(0.0)
+    assert day + since - 30.0 / 86_400 == pytest.approx(2450383.09722222, abs=1e-8)
+
+
 def test_sofa_time_cookbook_example():
     # SOFA Time Scale and Calendar Tools: 2006-01-15 21:24:37.5 UTC = 21:25:10.5 TAI = 21:25:42.684 TT.
     epoch = Epoch.from_utc("2006-01-15T21:24:37.5")
@@ -30,6 +36,12 @@ def test_sofa_time_cookbook_example():
     day, since = epoch.tt_jd(t_s)
     seconds = ((day[0] - 2453751.0) + since[0] + 0.5) * 86_400.0  # since 0h on 2006-01-15
     assert seconds == pytest.approx(21 * 3600 + 25 * 60 + 42.684, abs=1e-9)
+
+
+def test_gps_week_2048_began_when_the_counter_rolled_over():
+    # IS-GPS-200: the ten-bit week counter rolled over for the second time at 2019-04-06 23:59:42 UTC.
+    epoch = Epoch.from_utc("2019-04-06T23:59:42")
+    assert epoch.seconds_from_gps_dates(["2019-04-07T00:00:00.25"]) == 0.25
 
 
 def test_every_leap_second_has_its_own_name_and_length():

@@ -29,6 +29,13 @@ def test_vallado_example_3_3_geodetic_from_ecef():
     assert height == pytest.approx(5085220.0, abs=10.0)
 
 
+def test_vallado_example_3_2_ecef_from_geodetic():
+    # Vallado, 4th ed., example 3-2: 7.9066357 S, 345.5975 E, 56 m; station vector in km, with his ellipsoid
+    # of EGM96 (a = 6378.1363 km, 1/f = 298.257) 0.8 m smaller than WGS84: that is the tolerance.
+    p = ecef_from_geodetic(np.radians(-7.9066357), np.radians(345.5975), 56.0, WGS84)
+    np.testing.assert_allclose(p, [6119400.26, -1571479.55, -871561.13], rtol=0, atol=1.0)
+
+
 def test_both_ways_agree_with_pyproj():
     # 1e-6 m, from the Dead Sea up to 20 km (at 800 km, PROJ itself is off by 2e-6 m).
     rng = np.random.default_rng(1)

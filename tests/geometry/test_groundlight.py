@@ -16,7 +16,12 @@ from boresight.geometry.constants import GM_EARTH, SPEED_OF_LIGHT, WGS84
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
-from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e, ray_ellipsoid_intersection
+from boresight.geometry.geodesy import (
+    ecef_from_geodetic,
+    geodetic_from_ecef,
+    local_axes_e,
+    ray_ellipsoid_intersection,
+)
 from boresight.geometry.groundlight import (
     Atmosphere,
     LightEffects,
@@ -282,3 +287,16 @@ def test_a_line_of_sight_past_the_earth_gives_nan():
     u_i = ORBIT.velocities_i(t_s) / np.linalg.norm(ORBIT.velocities_i(t_s))
     origin, direction = lines_of_sight_e(u_i, t_s, ORBIT, EARTH, LightEffects())
     assert np.isnan(origin).all() and np.isnan(direction).all()
+
+
+def test_ground_and_sky_share_one_observer():
+    # A ground point seen by GCRS velocity, a star by barycentric velocity: seen from a satellite that stands
+    # above a place, light straight up from the nadir is deflected by v/c towards the motion.
+    t_s = np.array([100.0])
+    nadir = ground_below(t_s, np.zeros(1), np.zeros(1), 0.0)
+    u_i, _ = apparent_ground_directions(nadir, t_s, ORBIT, EARTH, LightEffects())
+    still, _ = apparent_ground_directions(nadir, t_s, ORBIT, EARTH, LightEffects(aberration=False))
+    v = ORBIT.velocities_i(t_s)[0]
+    speed = np.linalg.norm(v)
+    assert (u_i - still)[0] @ v / speed == pytest.approx(speed / SPEED_OF_LIGHT, rel=1e-3)
+    assert ecef_from_geodetic(0.0, 0.0, 0.0, WGS84)[0] == WGS84.semi_major_m

@@ -150,6 +150,20 @@ def test_sofa_test_value_of_atci13():
     assert dec == pytest.approx(0.1729371367219539137, abs=1e-11)
 
 
+def test_aberration_is_that_of_earth_and_orbit_together():
+    # Up to 20.5" by the Earth and 5.2" by an orbit at 530 km (7.6 km/s).
+    stars, _ = star_places(400, np.random.default_rng(23))
+    epoch = Epoch.from_utc("2020-05-05T00:00:00")
+    at_rest = apparent_star_directions(stars, epoch, 0.0, np.zeros(3), np.zeros(3))
+    p_i, v_i = satellite_state(3)
+    moving = apparent_star_directions(stars, epoch, 0.0, p_i, v_i)
+    shift = np.linalg.norm(moving - at_rest, axis=1) / ARCSEC
+    speed = np.linalg.norm(v_i) / 299_792_458.0 / ARCSEC
+    assert 0.99 * speed < shift.max() < 1.001 * speed
+    along = (moving - at_rest) @ v_i / np.linalg.norm(v_i)
+    assert np.all(along > -1e-10)  # towards the direction of motion
+
+
 def test_a_parallax_below_zero_is_taken_as_zero():
     stars, _ = star_places(10, np.random.default_rng(25))
     epoch = Epoch.from_utc("2024-08-01T10:00:00")
