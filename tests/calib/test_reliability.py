@@ -125,9 +125,12 @@ def test_the_detectable_error_is_found_in_nine_of_ten():
 
 def test_nine_of_ten_are_exact():
     """An error of this size shifts a value, normal with its 1-sigma, by as much (the tests above)."""
-    sizes = np.array([(one.detectable, one.sigma) for one in clean(0)[2].tests if not one.is_unseen])
+    tests = [one for one in clean(0)[2].tests if not one.is_unseen]
+    sizes = np.array([(one.detectable, one.sigma) for one in tests])
     found = ncx2(1, (sizes[:, 0] / sizes[:, 1]) ** 2).sf(chi2(1).isf(PROBABILITY_FOUND / N))
     assert found == pytest.approx(np.full(len(sizes), 0.9))
+    chance = [chi2(1).sf((one.value / one.sigma) ** 2) for one in tests]
+    assert [one.p_value for one in tests] == pytest.approx(chance)
 
 
 def test_a_tolerated_factor_of_the_stated_sigma_makes_as_much_undetectable():

@@ -237,7 +237,7 @@ def test_cloud_and_saturation_are_kept_out(case: Case):
 def test_target_outside_the_strip_is_listed(case: Case):
     far = Target("far", case.targets[0].p_e + np.array([0.0, 0.0, 90e3]), np.full(3, 0.1))
     chip = replace(case.chips[0], target_id="far")
-    more = {"targets": [case.targets[0], far], "chips": [case.chips[0], chip], "sigma_installation_rad": SURE}
+    more = {"targets": [*case.targets, far], "chips": [*case.chips, chip], "sigma_installation_rad": SURE}
     outcome = matched(case, pushbroom=case.true, **more)
     reasons = {refusal.subject.id: refusal.reason for refusal in outcome.refused}
     assert reasons["far"] is Reason.OUTSIDE_REACH

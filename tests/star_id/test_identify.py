@@ -173,7 +173,7 @@ def test_an_uncalibrated_camera_is_identified(wide_index, places, fov_given):
         assert np.linalg.norm(centre - [*here, np.sin(found.dec_rad)]) < 0.003 * fov
 
 
-def test_noise_is_never_identified(index):
+def test_noise_is_never_identified(index, wide_index):
     rng = np.random.default_rng(3)
     field, best = field_of_camera(PAPER_CAMERA, SETTINGS), -np.inf
     for _ in range(60):
@@ -182,6 +182,8 @@ def test_noise_is_never_identified(index):
         assert isinstance(answer, NotIdentified)
         best = max(best, answer.best_log_odds)
     assert best < 6.0  # 20.7 is asked for; 60 images of noise should come to ln 60 at most
+    xy = rng.uniform([0, 0], SIZE, (40, 2))
+    assert isinstance(solve_stars(xy, SIZE, wide_index, SETTINGS), NotIdentified)
 
 
 def test_stars_of_one_sky_mirrored_are_not_identified(index, places):

@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from command_line import ran
 from matplotlib.path import Path as MplPath
+from pytest import approx
 from report_page import report_html
 
 from boresight.pipeline.console import report_command
@@ -155,6 +156,23 @@ def test_every_target_has_a_row_a_card_a_place_on_the_map_and_in_four_plots(page
         (link,) = [link for link, text in cards.items() if f"{target}, strip {strip}, CCD {ccd}" in text]
         assert ("used" if kept else "rejected") in cards[link]
         assert marks.count(f"#{link}") == 1 and dots.count(link) == 8 and rows.count(link) == 1
+
+
+def test_ground_residuals_are_those_of_the_sightings(finished):
+    # A residual angle times the distance is the length on level ground below: the two differ by the slant of
+    # the view, 1 / cos² of at most 10 degrees, 3 %. The sightings state the angles, the map metres.
+    ground = pq.read_table(finished[1] / "evidence/ground.parquet").to_pandas()
+    targets = pq.read_table(finished[1] / "sightings/targets.parquet").to_pandas()
+    both = ground.merge(targets, on=["strip_id", "target_id", "ccd"])
+    assert len(both) == len(targets)
+    residual_c = np.vstack(both.residual_c) * both.range_m.to_numpy()[:, None]
+    size = np.hypot(both.residual_east_m, both.residual_north_m)
+    assert size.to_numpy() == approx(np.linalg.norm(residual_c, axis=1), rel=0.03)
+    track = both[["residual_along_m", "residual_across_m"]].to_numpy()
+    assert np.linalg.norm(track, axis=1) == approx(size.to_numpy(), rel=1e-9)
+    # x of the camera is along the flight, and y to its right, but for the yaw of a few degrees
+    assert track == approx(residual_c, abs=0.15 * float(size.max()))
+    assert both.sigmas.to_numpy() ** 2 == approx(both.normalised.to_numpy(), rel=1e-9)
 
 
 def test_footprints_hold_the_targets_that_strips_show(finished):

@@ -111,3 +111,10 @@ def test_one_sigma_is_given_in_metres_on_the_ground(finished):
         form = ".4f" if "″" in words else ".2f"
         assert words + "".join(format(value, form) for value in values) in text.replace("\n", "")
     assert 4e5 < ground["range_m"] < 8e5  # the mini scenario flies at 530 km
+
+
+def test_hostile_names_stay_text(finished):
+    name = "\x1b[31m {{ 7 * 7 }} </style><script>x</script> a\nb\u2028c"
+    saved = read_saved(finished[1])
+    html = report_html(replace(saved, context=saved.context | {"mission": name}))
+    assert html.count("<script>") == 1 and "49" not in html[html.index("<h1>") : html.index("</h1>")]

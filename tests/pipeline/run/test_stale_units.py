@@ -96,3 +96,10 @@ def test_other_code_or_libraries_make_again_what_depends_on_them(changed, made, 
         assert units_made(*copied) in made
     finally:
         program_key.program_digest.cache_clear()
+
+
+def test_nothing_is_made_again_of_a_dump_with_other_times_of_change(copied: tuple[Path, Path]) -> None:
+    dump, result = copied
+    for path in dump.rglob("*"):
+        os.utime(path, ns=(1, 1))
+    assert units_made(dump, result) == 0
