@@ -61,8 +61,19 @@ def sigmas_off(result: bs.Calibration, R_cs: Rotation) -> np.ndarray:
     return np.abs((result.R_cs * R_cs.inv()).as_rotvec()) / ARCSEC / result.sigma_arcsec
 
 
-def test_look_tables_and_lists_of_stars_give_the_matrix_of_truth() -> None:
-    given = arrays_of(MINI)
+@pytest.fixture(scope="module")
+def read() -> dict:
+    """Arguments of `dump_from_arrays`: the first strip of the example."""
+    return arrays_of(MINI)
+
+
+@pytest.fixture
+def given(read: dict) -> dict:
+    """The same, of which a test may replace some."""
+    return dict(read)
+
+
+def test_look_tables_and_lists_of_stars_give_the_matrix_of_truth(given: dict) -> None:
     given["remote_camera"] = look_tables(given["remote_camera"])
     given["exposures"] = lists_of_stars(given["exposures"])
     dump = bs.dump_from_arrays(**given)
@@ -73,9 +84,9 @@ def test_look_tables_and_lists_of_stars_give_the_matrix_of_truth() -> None:
 
 
 @pytest.fixture(scope="module")
-def attitudes() -> dict:
-    """Arguments of `dump_from_arrays` with attitudes about bold axes, in which the aberration is left."""
-    given = arrays_of(MINI)
+def attitudes(read: dict) -> dict:
+    """The same with attitudes about bold axes, in which the aberration is left."""
+    given = dict(read)
     given["attitudes"] = solved(given, BOLD)
     given["R_cs0"] = Rotation.from_matrix(given["R_cs0"]) * BOLD.inv()
     given["aberration_removed"] = "none"
@@ -122,8 +133,7 @@ def test_errors_of_attitudes_are_read_back_as_they_were_given(attitudes: dict) -
         np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), rtol=1e-12)
 
 
-def test_exposures_without_ids_are_numbered_from_one() -> None:
-    given = arrays_of(MINI)
+def test_exposures_without_ids_are_numbered_from_one(given: dict) -> None:
     rows = given["exposures"].drop(columns="id").to_dict("records")
     rows[4]["id"] = "named"
     dump = bs.dump_from_arrays(**given | {"exposures": rows})
@@ -172,13 +182,12 @@ def test_attitudes_with_aberration_need_a_line_of_sight(attitudes: dict) -> None
         ),
     ],
 )
-def test_wrong_levels_are_named(change: dict, message: str) -> None:
+def test_wrong_levels_are_named(change: dict, message: str, given: dict) -> None:
     with pytest.raises(ValueError, match=message):
-        bs.dump_from_arrays(**arrays_of(MINI) | change)
+        bs.dump_from_arrays(**given | change)
 
 
-def test_messages_name_the_argument_its_row_and_unit() -> None:
-    given = arrays_of(MINI)
+def test_messages_name_the_argument_its_row_and_unit(given: dict) -> None:
     km = [row | {name: row[name] / 1e3 for name in ("x_m", "y_m", "z_m")} for row in given["orbit"]]
     with pytest.raises(ValueError, match=r"orbit, row 0, x_m, y_m, z_m: found 69\d\d\.\d+ m .*metres"):
         bs.dump_from_arrays(**given | {"orbit": km})

@@ -268,7 +268,7 @@ def test_no_answer_is_false_and_says_why(ground: np.ndarray) -> None:
     elsewhere = bs.match_template(ground[60:124, 50:114], ground[::-1], start_px=(84, 88))
     assert isinstance(elsewhere, bs.NotMatched)
     assert not elsewhere
-    assert elsewhere.sentence
+    assert repr(elsewhere) == f"not matched: {elsewhere.sentence}"
     assert not bs.calibrate_star_camera([image])
 
 

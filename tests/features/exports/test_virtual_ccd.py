@@ -9,7 +9,7 @@ from scipy.fft import irfft2, rfft2, rfftfreq
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 from strips import PERIOD_S, R_CS, attitude, orbit, pushbroom
 
-from boresight.features.exports.virtual_ccd import VirtualStrip, _nodes, virtual_camera
+from boresight.features.exports.virtual_ccd import VirtualStrip, virtual_camera
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
 from boresight.geometry.line_camera import Ccd, LineCamera
@@ -125,15 +125,6 @@ def test_the_virtual_line_is_the_least_squares_line_through_all_pixels():
     assert np.abs(-u_c[:, :2] / u_c[:, 2:] * 10.0 - on_line).max() < 1e-14
 
 
-def test_a_plain_detector_is_its_own_virtual_ccd():
-    place = {"y_first_m": -0.01, "x_offset_m": 0.003, "rotation_rad": 0.02, "principal_sample": 250.0}
-    plain = LineCamera(10.0, (Ccd(n_px=500, pixel_m=1e-5, **place),))
-    ideal = virtual_camera(plain)
-    n = np.array([0.0, 123.0, 498.0])
-    difference = ideal.directions_from_pixels(0, n) - plain.directions_from_pixels(0, n)
-    assert np.abs(difference).max() < 1e-12  # rad; the pitch is along the line
-
-
 def test_every_virtual_pixel_finds_the_ground_in_the_real_image(scene):
     model, _, _ = scene
     strip = VirtualStrip(model, ConstantHeight(HEIGHT_M))
@@ -203,9 +194,3 @@ def test_what_no_detector_saw_stays_unknown(scene):
     assert np.isnan(strip.stitched(reader(raw), ALL_LINES, (-400, -300))).all()
     with pytest.raises(TypeError, match="LineCamera"):
         VirtualStrip(replace(model, camera=None), ConstantHeight(0.0))
-
-
-@pytest.mark.parametrize(("first", "last", "step", "count"), [(5000.0, 5300.0, 64, 5), (7.0, 9.0, 64, 4)])
-def test_nodes_are_no_denser_than_asked_for_and_end_with_the_pixels(first, last, step, count):
-    nodes = _nodes(np.arange(first, last + 1.0), step)
-    assert np.allclose(nodes, first + (last - first) * np.arange(count + 1) / count, rtol=1e-15)

@@ -521,7 +521,3 @@ def test_the_page_of_an_image_shows_its_detections_identified_or_not(folder, tmp
     assert page.count("<figure") == 3 and 'src="http' not in page and 'href="http' not in page
     other = (tmp_path / "page-<dark>.html").read_text("utf-8")
     assert "<h1>Not identified</h1>" in other and "<dark>" not in other
-
-
-def test_nothing_identified_ends_with_status_1(folder):
-    assert run("identify", "--fov", 18.6, folder / "dark.png").exit_code == 1
