@@ -178,8 +178,8 @@ def look_into_a_dump(given: Given) -> None:
 
 
 def calibrate_a_dump_into_a_folder(given: Given) -> None:
-    result = bs.calibrate(given.dump, out=given.out / "result")
-    assert result.verdict == "consistent" and result.folder == given.out / "result"
+    result = bs.calibrate(given.dump, out=given.out / "made")  # which `main` has filled
+    assert result.verdict == "consistent" and result.folder == given.out / "made"
 
 
 def use_some_strips_only_and_compare_with_a_simulated_truth(given: Given) -> None:

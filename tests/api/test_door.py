@@ -452,7 +452,7 @@ PAGES = "pipeline.report.page", "features.sky_images.identify_page", "features.t
     ("modules", "needed", "unneeded"),
     [
         ((), set(), {"numpy", "typer"}),
-        (PAGES, {"jinja2"}, {"matplotlib", "skimage"}),
+        ((*PAGES, "features.vectors.api"), {"jinja2"}, {"matplotlib", "skimage", "geopandas"}),
         (
             ("features.sky_images.identify_images",),  # names stars
             set(),
