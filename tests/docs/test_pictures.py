@@ -52,28 +52,18 @@ def assert_alike(kept: str, now: str, name: str) -> None:
         assert abs(a - b) <= allowed * (1 + 1e-9), f"{name}: {a}, now {b}"
 
 
-@pytest.mark.skipif(chromium() is None, reason="NO CHROMIUM FOUND: the picture is not compared")
-def test_picture_of_the_report_shows_the_words_and_numbers_of_the_present_code(demo, tmp_path):
-    result = tmp_path / "demo-result"
+@pytest.mark.skipif(chromium() is None, reason="NO CHROMIUM FOUND: pictures are not compared")
+def test_pictures_of_report_and_sheets_show_the_words_and_numbers_of_the_present_code(demo, tmp_path):
+    result, images = tmp_path / "demo-result", ROOT / "docs" / "images"
     shutil.copytree(demo / "demo-result", result, ignore=shutil.ignore_patterns("work"))
     ran("validate", result, "--dump", ROOT / "fixtures" / "mini")
     now = MADE_BY["words_of"](result / "report.html", tmp_path)
     assert "Consistent: 8 of 8 checks hold" in now and "check point" in now
-    with Image.open(ROOT / "docs" / "images" / "report.png") as picture:
+    with Image.open(images / "report.png") as picture:
         assert_alike(picture.text["Description"], now, "report.png")
-
-
-@pytest.mark.skipif(chromium() is None, reason="NO CHROMIUM FOUND: pictures are not compared")
-def test_pictures_of_the_sheets_show_the_words_and_numbers_of_the_present_code(demo, tmp_path):
-    result = tmp_path / "demo-result"
-    shutil.copytree(demo / "demo-result", result, ignore=shutil.ignore_patterns("work"))
     (tmp_path / "about.toml").write_text(MADE_BY["ABOUT"])
-    asked = ["report", result, "--about", tmp_path / "about.toml", "--require-arcsec", "10", "--pdf"]
-    for command in (["validate", result, "--dump", ROOT / "fixtures" / "mini"], asked):
-        ran(*command)
-    pages = PdfReader(result / "report.pdf").pages
-    for n in (1, 2):
-        with Image.open(ROOT / "docs" / "images" / f"signed-{n}.png") as picture:
+    ran("report", result, "--about", tmp_path / "about.toml", "--require-arcsec", "10", "--pdf")
+    for n, page in enumerate(PdfReader(result / "report.pdf").pages[:2], 1):
+        with Image.open(images / f"signed-{n}.png") as picture:
             kept = shown_in(picture.text["Description"])
-        now = shown_in(pages[n - 1].extract_text())
-        assert_alike(kept, now, f"signed-{n}.png")
+        assert_alike(kept, shown_in(page.extract_text()), f"signed-{n}.png")

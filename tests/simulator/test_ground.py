@@ -57,13 +57,6 @@ def test_fractal_noise_has_no_seams():
     assert np.array_equal(part, whole[50:149, 120:221])
 
 
-def test_windows_of_the_ground_fit_together():
-    blurred = BlurredGround(ground(), 1.2)
-    whole = blurred.window(COLUMN - 300, ROW + 200, 1400, 1300)
-    part = BlurredGround(ground(), 1.2).window(COLUMN + 500, ROW + 900, 200, 150)
-    assert np.array_equal(part, whole[700:850, 800:1000])
-
-
 def test_tiles_meet_without_an_edge():
     """Four tiles about a corner show what one piece of land without that corner shows."""
     column, row = (COLUMN // 1024 + 1) * 1024, (ROW // 1024 + 1) * 1024
