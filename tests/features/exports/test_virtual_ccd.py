@@ -9,7 +9,7 @@ from scipy.fft import irfft2, rfft2, rfftfreq
 from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
 from strips import PERIOD_S, R_CS, attitude, orbit, pushbroom
 
-from boresight.features.exports.virtual_ccd import VirtualStrip, virtual_camera
+from boresight.features.exports.virtual_ccd import VirtualStrip, _nodes, virtual_camera
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
 from boresight.geometry.line_camera import Ccd, LineCamera
@@ -194,3 +194,9 @@ def test_what_no_detector_saw_stays_unknown(scene):
     assert np.isnan(strip.stitched(reader(raw), ALL_LINES, (-400, -300))).all()
     with pytest.raises(TypeError, match="LineCamera"):
         VirtualStrip(replace(model, camera=None), ConstantHeight(0.0))
+
+
+@pytest.mark.parametrize(("first", "last", "step", "count"), [(5000.0, 5300.0, 64, 5), (7.0, 9.0, 64, 4)])
+def test_nodes_are_no_denser_than_asked_for_and_end_with_the_pixels(first, last, step, count):
+    nodes = _nodes(np.arange(first, last + 1.0), step)
+    assert np.allclose(nodes, first + (last - first) * np.arange(count + 1) / count, rtol=1e-15)

@@ -9,7 +9,7 @@ from frames import PAPER_CAMERA, Sensor, listed_stars, star_frame
 from scipy.spatial.transform import Rotation
 
 from boresight.features.sky_images import sky_plan
-from boresight.features.sky_images.field_plan import _outline
+from boresight.features.sky_images.field_plan import _outline, _pieces
 from boresight.features.sky_images.sky_plan import StarImageModel, plan_pointings
 from boresight.star_id.camera_calibration import SkyFrame, calibrate_camera
 from boresight.star_id.camera_fit import detector_grid
@@ -121,3 +121,12 @@ def test_the_outline_on_the_map_is_the_edge_of_the_detector():
     assert np.abs([x - 0.5, y - 0.5]).max() < 0.5 + 1e-7
     for corner in ([0, 0], [0, 1], [1, 0], [1, 1]):
         assert np.hypot(x - corner[0], y - corner[1]).min() < 1e-7
+
+
+def test_an_outline_that_leaves_the_map_comes_back_in_another_piece():
+    # Its middle looks along +X: at right ascension 0, where the map ends.
+    R_si = Rotation.from_euler("xyz", [10.0, -90.0, 0.0], degrees=True)
+    outline = _outline(TRUTH, R_si)
+    pieces = _pieces(outline)
+    assert len(pieces) > 1 and all(np.ptp(ra) < 180.0 for ra, _ in pieces)
+    assert np.array_equal(np.hstack(pieces), outline)
