@@ -20,6 +20,11 @@ FEWEST_PX = 60  # of a line or a few markers; antialiased edges do not count
 # rounding does not make; share of blocks that may differ by more, as by a last digit that a label rounds.
 BLOCK_PX, GREY_LEVELS, FEW_BLOCKS = 8, 16.0, 0.002
 
+# Of texts that pictures hold. Other processors round sums in another order (test_demo_numbers.py): three
+# units of the last digit; of the matrix, of twelve decimals, 1e-4 of its 1-sigma about Z; of covariances,
+# which have powers of ten, a thousandth.
+NUMBER = re.compile(r"[+\N{MINUS SIGN}-]?\d+(?:\.\d+)?(?:e[+\N{MINUS SIGN}-]\d+)?")
+LAST_DIGITS, MATRIX, COVARIANCE = 3.0, 5e-9, 1e-3
 SERIES_COLOURS = tuple(colour for colour, *_ in SERIES)
 
 
@@ -70,3 +75,22 @@ def _blocks(grey: np.ndarray) -> np.ndarray:
     rows, columns = (n // BLOCK_PX for n in grey.shape)
     whole = grey[: rows * BLOCK_PX, : columns * BLOCK_PX]
     return whole.reshape(rows, BLOCK_PX, columns, BLOCK_PX).mean(axis=(1, 3))
+
+
+def assert_alike(kept: str, now: str, name: str) -> None:
+    """The same words, wherever lines end, and numbers that differ by rounding alone."""
+    words = ["".join(NUMBER.sub("#", text).split()) for text in (kept, now)]
+    assert words[0] == words[1], name
+    for (a, allowed), (b, _) in zip(_with_limits(kept), _with_limits(now), strict=True):
+        assert abs(a - b) <= allowed * (1 + 1e-9), f"{name}: {a}, now {b}"
+
+
+def _with_limits(text: str) -> list[tuple[float, float]]:
+    """Numbers of a text, each with the difference that is allowed."""
+    found = []
+    for shown in NUMBER.findall(text):
+        mantissa, has_power, _ = shown.partition("e")
+        value = float(shown.replace("\N{MINUS SIGN}", "-"))
+        unit = 10.0 ** -len(mantissa.partition(".")[2])
+        found.append((value, COVARIANCE * abs(value) if has_power else max(LAST_DIGITS * unit, MATRIX)))
+    return found

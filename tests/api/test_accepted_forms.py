@@ -22,6 +22,8 @@ TZ = datetime.timezone(datetime.timedelta(hours=2))
         (np.datetime64(EXACT), EXACT),
         (np.array(EXACT, dtype="datetime64[ns]"), EXACT),
         (Time(EXACT, scale="utc"), EXACT),
+        (Time("2024-11-20T12:00:37.25", scale="tai"), "2024-11-20T12:00:00.250000000"),
+        ("2024-11-20T12:00:00.25", "2024-11-20T12:00:00.25"),
         (datetime.datetime(2026, 3, 1, 14, tzinfo=TZ), "2026-03-01T12:00:00"),
         (np.datetime64("2026-03-01"), "2026-03-01T00:00:00"),
         (np.datetime64("2609-01-01"), "2609-01-01T00:00:00"),  # beyond what 64 bits of nanoseconds hold

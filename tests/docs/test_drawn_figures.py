@@ -12,7 +12,7 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
-from drawn_pictures import same_picture
+from drawn_pictures import assert_alike, same_picture
 from PIL import Image
 
 ROOT = Path(__file__).parents[2]
@@ -27,10 +27,8 @@ OTHERS = {
     r"terminal-.*\.svg": "tests/docs/test_demo_numbers.py",
     r"real_.*\.svg": "their data are too large for the repository (scripts/figures/real_mission.py)",
 }
-NUMBER = re.compile(r"[+\N{MINUS SIGN}-]?\d+(?:\.\d+)?")
-# Other processors round sums in another order: three units of the last digit of what is printed
-# (test_demo_numbers.py), and a place moves by far less than a quarter of a point, a fifth of a line's width.
-LAST_DIGITS, PLACE_PT = 3.0, 0.25
+# A place moves by far less than a quarter of a point, a fifth of a line's width.
+PLACE_PT = 0.25
 
 
 # Draws into the folder that is named first, as each script by itself would.
@@ -68,9 +66,7 @@ def test_every_picture_is_compared_with_the_present_code_or_has_a_reason() -> No
 def test_drawing_shows_what_the_present_code_draws(name: str, drawn: Path) -> None:
     for version in ("light", "dark"):
         kept, now = (read_svg(folder / f"{name}-{version}.svg") for folder in (IMAGES, drawn))
-        assert [NUMBER.sub("#", text) for text in kept.texts] == [NUMBER.sub("#", t) for t in now.texts]
-        for (a, allowed), (b, _) in zip(numbers(kept.texts), numbers(now.texts), strict=True):
-            assert abs(a - b) <= allowed, f"{name}: {a}, now {b}"
+        assert_alike("\n".join(kept.texts), "\n".join(now.texts), name)
         assert kept.shapes == now.shapes
         assert np.abs(np.array(kept.places) - now.places).max() <= PLACE_PT
         assert all(same_picture(a, b) for a, b in zip(kept.pictures, now.pictures, strict=True))
@@ -138,9 +134,3 @@ def shown(element: ET.Element) -> Iterator[ET.Element]:
         if str(element.get("id", "")).startswith("text_") and child.tag is not ET.Comment:
             continue
         yield from shown(child)
-
-
-def numbers(texts: list[str]) -> Iterator[tuple[float, float]]:
-    """Numbers of texts, each with the difference that is allowed."""
-    for one in NUMBER.findall(" ".join(texts)):
-        yield float(one.replace("\N{MINUS SIGN}", "-")), LAST_DIGITS * 10.0 ** -len(one.partition(".")[2])

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from command_line import ran
+from drawn_pictures import assert_alike
 from PIL import Image
 from pypdf import PdfReader
 
@@ -18,10 +19,6 @@ ROOT = Path(__file__).parents[2]
 MADE_BY = runpy.run_path(str(ROOT / "scripts" / "figures" / "report.py"))
 # What differs from run to run, or with the fonts of a machine: the block of identity, the foot of each page.
 OF_THE_RUN = re.compile(r"Which result this is.*?(?=Rcs: takes)|boresight result \w+|\d+ of \d+", re.DOTALL)
-NUMBER = re.compile(r"[+\N{MINUS SIGN}-]?\d+(?:\.\d+)?(?:e[+\N{MINUS SIGN}-]\d+)?")
-# Other processors round sums in another order (test_demo_numbers.py): three units of the last digit; of the
-# matrix, which has twelve decimals, 1e-4 of its 1-sigma about Z; of covariances a thousandth.
-LAST_DIGITS, MATRIX, COVARIANCE = 3.0, 5e-9, 1e-3
 
 
 def shown_in(text: str) -> str:
@@ -29,51 +26,18 @@ def shown_in(text: str) -> str:
     return OF_THE_RUN.sub("", unicodedata.normalize("NFKC", text))
 
 
-def words(text: str) -> str:
-    """The same without numbers, and without spaces: lines may end elsewhere."""
-    return "".join(NUMBER.sub("#", text).split())
-
-
-def numbers(text: str) -> list[tuple[float, float]]:
-    """Numbers of a text, each with the difference that is allowed."""
-    found = []
-    for shown in NUMBER.findall(text):
-        mantissa, has_power, _ = shown.partition("e")
-        value = float(shown.replace("\N{MINUS SIGN}", "-"))
-        unit = 10.0 ** -len(mantissa.partition(".")[2])
-        found.append((value, COVARIANCE * abs(value) if has_power else max(LAST_DIGITS * unit, MATRIX)))
-    return found
-
-
-def assert_alike(kept: str, now: str, name: str) -> None:
-    """The same words, and numbers that differ by rounding alone."""
-    assert words(kept) == words(now)
-    for (a, allowed), (b, _) in zip(numbers(kept), numbers(now), strict=True):
-        assert abs(a - b) <= allowed * (1 + 1e-9), f"{name}: {a}, now {b}"
-
-
-@pytest.mark.skipif(chromium() is None, reason="NO CHROMIUM FOUND: the picture is not compared")
-def test_picture_of_the_report_shows_the_words_and_numbers_of_the_present_code(demo, tmp_path):
-    result = tmp_path / "demo-result"
+@pytest.mark.skipif(chromium() is None, reason="NO CHROMIUM FOUND: pictures are not compared")
+def test_pictures_of_report_and_sheets_show_the_words_and_numbers_of_the_present_code(demo, tmp_path):
+    result, images = tmp_path / "demo-result", ROOT / "docs" / "images"
     shutil.copytree(demo / "demo-result", result, ignore=shutil.ignore_patterns("work"))
     ran("validate", result, "--dump", ROOT / "fixtures" / "mini")
     now = MADE_BY["words_of"](result / "report.html", tmp_path)
     assert "Consistent: 8 of 8 checks hold" in now and "check point" in now
-    with Image.open(ROOT / "docs" / "images" / "report.png") as picture:
+    with Image.open(images / "report.png") as picture:
         assert_alike(picture.text["Description"], now, "report.png")
-
-
-@pytest.mark.skipif(chromium() is None, reason="NO CHROMIUM FOUND: pictures are not compared")
-def test_pictures_of_the_sheets_show_the_words_and_numbers_of_the_present_code(demo, tmp_path):
-    result = tmp_path / "demo-result"
-    shutil.copytree(demo / "demo-result", result, ignore=shutil.ignore_patterns("work"))
     (tmp_path / "about.toml").write_text(MADE_BY["ABOUT"])
-    asked = ["report", result, "--about", tmp_path / "about.toml", "--require-arcsec", "10", "--pdf"]
-    for command in (["validate", result, "--dump", ROOT / "fixtures" / "mini"], asked):
-        ran(*command)
-    pages = PdfReader(result / "report.pdf").pages
-    for n in (1, 2):
-        with Image.open(ROOT / "docs" / "images" / f"signed-{n}.png") as picture:
+    ran("report", result, "--about", tmp_path / "about.toml", "--require-arcsec", "10", "--pdf")
+    for n, page in enumerate(PdfReader(result / "report.pdf").pages[:2], 1):
+        with Image.open(images / f"signed-{n}.png") as picture:
             kept = shown_in(picture.text["Description"])
-        now = shown_in(pages[n - 1].extract_text())
-        assert_alike(kept, now, f"signed-{n}.png")
+        assert_alike(kept, shown_in(page.extract_text()), f"signed-{n}.png")

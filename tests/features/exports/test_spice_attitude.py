@@ -96,9 +96,12 @@ def test_the_comment_area_is_read(ticks_and_instants, tmp_path):
 def test_fields_of_view_are_the_cameras(ticks_and_instants):
     for ccd in (0, 1):
         number = spiceypy.bodn2c(f"{FRAMES.remote_camera_name}_CCD{ccd}")
-        shape, frame, _, n, corners = spiceypy.getfov(number, 10)
+        shape, frame, boresight, n, corners = spiceypy.getfov(number, 10)
         assert (shape, frame, n) == ("POLYGON", FRAMES.remote_camera_name, 4)
+        assert number == FRAMES.remote_camera_id - 1 - ccd
         ends = CAMERA.directions_from_pixels(ccd, np.array([-0.5, 2551.5]))
+        assert boresight == pytest.approx(corners.mean(axis=0), abs=1e-15)
+        assert corners[[3, 2], 0] - corners[:2, 0] == pytest.approx(CAMERA.pixel_rad, rel=1e-9)
         corners = corners / np.linalg.norm(corners, axis=1, keepdims=True)
         middle = [corners[0] + corners[3], corners[1] + corners[2]]
         for got, expected in zip(middle, ends):

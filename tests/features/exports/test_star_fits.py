@@ -1,8 +1,10 @@
-"""The table of centroids, read back byte by byte as the FITS standard 4.0 (sections 4 and 7.3) has it."""
+"""The table of centroids, read back bit for bit."""
 
+import io
 from dataclasses import replace
 
 import numpy as np
+from astropy.io import fits
 from orbiting_camera import NOTES
 from pytest import approx
 
@@ -23,41 +25,20 @@ def exposure(name, t_s, n):
     return StarSightings(exposure_id=name, t_s=t_s, **rows, cov_s=covariance)
 
 
-def headers_and_data(content):
-    """Header cards and data of each unit of a FITS file."""
-    at, units = 0, []
-    while at < len(content):
-        cards = {}
-        while True:
-            block = content[at : at + 2880].decode("ascii")
-            at += 2880
-            lines = [block[k : k + 80] for k in range(0, 2880, 80)]
-            cards |= {
-                line[:8].strip(): line[10:].split("/")[0].strip(" '") for line in lines if line[8] == "="
-            }
-            if any(line.strip() == "END" for line in lines):
-                break
-        size = 0
-        if int(cards["NAXIS"]):
-            size = abs(int(cards["BITPIX"])) // 8 * int(cards["NAXIS1"]) * int(cards["NAXIS2"])
-        units.append((cards, content[at : at + size]))
-        at += -(-size // 2880) * 2880
-    return units
+def read_back(content):
+    """Header and rows of the table of a FITS file that keeps to the standard."""
+    with fits.open(io.BytesIO(content)) as file:
+        file.verify("exception")
+        return file[1].header, np.array(file[1].data)
 
 
 def test_every_star_is_read_back_bit_for_bit():
     first = replace(exposure("E0001", 0.25, 4), snr=10.0 * np.arange(4))
     exposures = [first, exposure("E0002", 0.45, 3)]
     content = centroids_fits(exposures, EPOCH, replace(NOTES, mission="mission ü"))
-    (_, _), (cards, data) = headers_and_data(content)
-    assert (cards["XTENSION"], cards["TIMESYS"], cards["TFIELDS"]) == ("BINTABLE", "UTC", "11")
+    cards, table = read_back(content)
+    assert (cards["XTENSION"], cards["TIMESYS"], cards["TFIELDS"]) == ("BINTABLE", "UTC", 11)
     assert (cards["RADESYS"], cards["DATE"]) == ("ICRS", "2026-01-01T00:00:00")
-    forms = {"64A": "S64", "29A": "S29", "J": ">i4", "D": ">f8", "2D": (">f8", 2), "3D": (">f8", 3)}
-    fields = [
-        (cards[f"TTYPE{n}"], *np.atleast_1d(np.array(forms[cards[f"TFORM{n}"]], dtype=object)))
-        for n in range(1, 12)
-    ]
-    table = np.frombuffer(data, dtype=np.dtype(fields))
     assert len(table) == 7
     assert table["EXPOSURE"].tolist() == [b"E0001"] * 4 + [b"E0002"] * 3
     assert table["UTC"][0] == b"2025-03-20T02:31:07.250000000"
@@ -77,11 +58,10 @@ def test_every_star_is_read_back_bit_for_bit():
 
 
 def test_no_exposures_give_an_empty_table():
-    (_, _), (cards, _) = headers_and_data(centroids_fits([], EPOCH, NOTES))
-    assert cards["NAXIS2"] == "0"
+    assert len(read_back(centroids_fits([], EPOCH, NOTES))[1]) == 0
 
 
 def test_a_long_name_of_a_mission_fills_its_card_and_no_more():
     notes = replace(NOTES, mission="m" * 60 + "0123456789")
-    cards = headers_and_data(centroids_fits([exposure("e1", 1.0, 3)], EPOCH, notes))[1][0]
+    cards, _ = read_back(centroids_fits([exposure("e1", 1.0, 3)], EPOCH, notes))
     assert cards["MISSION"] == "m" * 60 + "01234567"  # 68 characters fit between the quotes

@@ -4,7 +4,6 @@ import io
 import stat
 import tarfile
 import zipfile
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -112,12 +111,6 @@ def assert_same(found: Sentinel2, expected: Sentinel2) -> None:
         assert np.array_equal(there, here)
 
 
-def assert_refused(datastrip: Path, place: Path, raw: bytes, complaint: str) -> None:
-    place.write_bytes(raw)
-    with pytest.raises(RawDataError, match=complaint):
-        read_sentinel2(datastrip, place, "B04")
-
-
 @pytest.mark.parametrize(
     "packed",
     [as_dbl, as_data_blocks_in_folders, as_archives, as_one_archive, as_zips, as_one_zip, as_other_encodings],
@@ -128,57 +121,56 @@ def test_every_packing_is_read_as_the_plain_files_are(packed, plain, tmp_path):
     assert_same(read_sentinel2(folder / DATASTRIP, packed(tmp_path, files), "B04"), expected)
 
 
-def test_nothing_is_written_and_links_are_no_members(plain: Plain, tmp_path: Path) -> None:
-    folder, files = plain
+def tar_with_a_link(target: Path, outside: bytes) -> bytes:
     stream = io.BytesIO()
     with tarfile.open(fileobj=stream, mode="w:gz") as archive:
-        link = tarfile.TarInfo(f"{SPAMOD}.DBL")
-        link.type, link.linkname = tarfile.SYMTYPE, str(folder / f"{SPAMOD}.xml")
+        link, beyond = tarfile.TarInfo(f"{SPAMOD}.DBL"), tarfile.TarInfo(f"../../{VIEDIR}.DBL")
+        link.type, link.linkname, beyond.size = tarfile.SYMTYPE, str(target), len(outside)
         archive.addfile(link)
-        outside = tarfile.TarInfo(f"../../{VIEDIR}.DBL")
-        outside.size = len(files[VIEDIR])
-        archive.addfile(outside, io.BytesIO(files[VIEDIR]))
-    none = f"GIPP files: found none of kind SPAMOD, expected {SPAMOD}"
-    assert_refused(folder / DATASTRIP, tmp_path / "gipp.tgz", stream.getvalue(), none)
-    assert [path.name for path in tmp_path.iterdir()] == ["gipp.tgz"]
+        archive.addfile(beyond, io.BytesIO(outside))
+    return stream.getvalue()
 
 
-def test_damage_and_bombs_are_told(plain: Plain, tmp_path: Path) -> None:
+def zip_with_a_link(target: Path, outside: bytes) -> bytes:
+    link, stream = zipfile.ZipInfo(f"{SPAMOD}.DBL"), io.BytesIO()
+    link.external_attr = (stat.S_IFLNK | 0o777) << 16
+    with zipfile.ZipFile(stream, "w") as archive:
+        archive.writestr(link, str(target))
+        archive.writestr(f"../../{VIEDIR}.DBL", outside)
+    return stream.getvalue()
+
+
+def test_damage_bombs_and_links_are_told_and_nothing_is_written(plain: Plain, tmp_path: Path) -> None:
     folder, files = plain
-    whole = tar_of({f"{name}.DBL": raw for name, raw in files.items()}, "gz")
-    for raw, complaint in (
-        (whole[: len(whole) // 2], "gzip: found"),
-        (b"PK\x03\x04" + bytes(500), "archive: found File is not a zip file"),
-        (b"Rar!" + bytes(500), "byte 257: found no tar archive"),
-        (
-            tar_of({f"{SPAMOD}.tgz": tar_of({"other.xml": b"<a/>"}, "gz"), f"{VIEDIR}.xml": b"<a/>"}, "gz"),
-            "members",
-        ),
-        (tar_of({f"{SPAMOD}.DBL": b"\xff\xfe", f"{VIEDIR}.DBL": b"<a/>"}, ""), "XML: found .*well-formed"),
-    ):
-        assert_refused(folder / DATASTRIP, tmp_path / "gipp.tgz", raw, complaint)
-
-
-def test_damaged_zips_links_and_bombs_are_told(plain: Plain, tmp_path: Path) -> None:
-    folder, files = plain
-    refused = partial(assert_refused, folder / DATASTRIP, tmp_path / "gipp.zip")
-    whole = zip_of({f"{name}.DBL": raw for name, raw in files.items()})
-    refused(whole[: len(whole) // 2], r"gipp\.zip: archive: found File is not a zip file, expected a whole")
-    broken = bytearray(whole)
+    members, a = {f"{name}.DBL": raw for name, raw in files.items()}, {f"{VIEDIR}.DBL": b"<a/>"}
+    tar, whole = tar_of(members, "gz"), zip_of(members)
+    broken, encrypted = bytearray(whole), bytearray(whole)
     broken[200] ^= 0xFF
-    refused(bytes(broken), r"gipp\.zip: archive: found (Bad CRC-32|Error -3)")
-    encrypted = bytearray(whole)
     for start in (whole.index(b"PK\x03\x04") + 6, whole.index(b"PK\x01\x02") + 8):
         encrypted[start] |= 1  # the flag of both headers
-    refused(bytes(encrypted), r"gipp\.zip: archive: found .*is encrypted, password.*without a password")
-    link = zipfile.ZipInfo(f"{SPAMOD}.DBL")
-    link.external_attr = (stat.S_IFLNK | 0o777) << 16
-    stream = io.BytesIO()
-    with zipfile.ZipFile(stream, "w") as archive:
-        archive.writestr(link, str(folder / f"{SPAMOD}.xml"))
-        archive.writestr(f"../../{VIEDIR}.DBL", files[VIEDIR])
-    refused(stream.getvalue(), f"GIPP files: found none of kind SPAMOD, expected {SPAMOD}")
-    assert [path.name for path in tmp_path.iterdir()] == ["gipp.zip"]
+    of_links = folder / f"{SPAMOD}.xml", files[VIEDIR]
+    no_member = f"GIPP files: found none of kind SPAMOD, expected {SPAMOD}"
+    for name, raw, complaint in (
+        ("a.tgz", tar[: len(tar) // 2], "gzip: found"),
+        ("a.tgz", b"PK\x03\x04" + bytes(500), "archive: found File is not a zip file"),
+        ("a.tgz", b"Rar!" + bytes(500), "byte 257: found no tar archive"),
+        ("a.tgz", tar_of({f"{SPAMOD}.tgz": tar_of({"other.xml": b"<a/>"}, "gz")} | a, "gz"), "members"),
+        ("a.tgz", tar_of({f"{SPAMOD}.DBL": b"\xff\xfe"} | a, ""), "XML: found .*well-formed"),
+        ("a.tgz", tar_with_a_link(*of_links), no_member),
+        (
+            "a.zip",
+            whole[: len(whole) // 2],
+            r"a\.zip: archive: found File is not a zip file, expected a whole",
+        ),
+        ("a.zip", bytes(broken), r"a\.zip: archive: found (Bad CRC-32|Error -3)"),
+        ("a.zip", bytes(encrypted), r"a\.zip: archive: found .*is encrypted, password.*without a password"),
+        ("a.zip", zip_with_a_link(*of_links), no_member),
+    ):
+        (tmp_path / name).write_bytes(raw)
+        with pytest.raises(RawDataError, match=complaint):
+            read_sentinel2(folder / DATASTRIP, tmp_path / name, "B04")
+        assert [path.name for path in tmp_path.iterdir()] == [name]
+        (tmp_path / name).unlink()
 
 
 OLD, NEW, LATE = (

@@ -3,6 +3,7 @@
 import gzip
 import shutil
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,12 @@ from boresight.features.operators.sentinel2_grid import (
     refined_camera,
 )
 from boresight.features.operators.sentinel2_import import sentinel2_mission
-from boresight.features.operators.sentinel2_product import AttitudeRecord, GyroAngles, read_sentinel2
+from boresight.features.operators.sentinel2_product import (
+    AttitudeRecord,
+    GyroAngles,
+    Sentinel2,
+    read_sentinel2,
+)
 from boresight.geometry.constants import ARCSEC, WGS84
 from boresight.geometry.earth_orientation import EarthOrientationTable
 from boresight.geometry.geodesy import ecef_from_geodetic
@@ -41,6 +47,12 @@ POLE = np.array(
 )
 
 
+@cache
+def real(band: str) -> Sentinel2:
+    """A band of the real datastrip."""
+    return read_sentinel2(next(REAL.glob("*MTD_L1B_DS*.xml")), REAL, band)
+
+
 def operator_table() -> EarthOrientationTable:
     return EarthOrientationTable(
         mjd_utc=DAYS,
@@ -58,7 +70,7 @@ def operator_table() -> EarthOrientationTable:
 @pytest.mark.parametrize("interpolation, largest_m", [("taylor", 0.005), ("lagrange", 0.4)])
 def test_pixels_of_a_real_datastrip_lie_where_its_operator_puts_them(interpolation, largest_m):
     # Largest difference of 174 of the 1740 points of the grid of B04; measured: 1.8 mm and 0.13 m of all.
-    strip = read_sentinel2(next(REAL.glob("*MTD_L1B_DS*.xml")), REAL, "B04")
+    strip = real("B04")
     orbit = operator_orbit(strip, operator_table())
     grid = np.loadtxt(REAL / "grid_B04.csv", delimiter=",", skiprows=1, usecols=(1, 3, 4, 5, 6, 7))[::10]
     for detector in range(1, 13):
@@ -72,7 +84,7 @@ def test_pixels_of_a_real_datastrip_lie_where_its_operator_puts_them(interpolati
 
 @needs_real_data
 def test_bands_of_a_real_datastrip_are_the_cameras_of_one_dump(tmp_path):
-    bands = [read_sentinel2(next(REAL.glob("*MTD_L1B_DS*.xml")), REAL, band) for band in ("B04", "B02")]
+    bands = [real(band) for band in ("B04", "B02")]
     write_imported(tmp_path / "both", sentinel2_mission(bands, "test"))
     views = {view.camera: view for view in open_cameras(tmp_path / "both", sky_alone=True)}
     assert sorted(views) == ["B02", "B04"]
@@ -88,7 +100,7 @@ def test_bands_of_a_real_datastrip_are_the_cameras_of_one_dump(tmp_path):
 
 @needs_real_data
 def test_the_gyros_of_a_real_datastrip_turn_as_its_trackers_do(tmp_path):
-    strip = read_sentinel2(next(REAL.glob("*MTD_L1B_DS*.xml")), REAL, "B04")
+    strip = real("B04")
     write_imported(tmp_path / "raw", sentinel2_mission([strip], "test"))
     heads = open_cameras(tmp_path / "raw", sky_alone=True)[0].heads
     gyro = heads[0].gyro
@@ -235,7 +247,7 @@ def test_angles_further_down_the_chain_are_refused(files, tmp_path):
 def test_the_operators_refining_of_a_real_datastrip_is_found_again():
     # The operator's grids contain its refining: three angles, rates and a scale, here from 145 points each of
     # two detectors; urad, urad/s and 1e-6 as its file has them. The grids are rounded to 1 mm, 1.3 nrad.
-    strip = read_sentinel2(next(REAL.glob("*MTD_L1B_DS*.xml")), REAL, "B04")
+    strip = real("B04")
     orbit = operator_orbit(strip, operator_table())
     grid = np.loadtxt(REAL / "grid_B04.csv", delimiter=",", skiprows=1, usecols=(1, 3, 4, 5, 6, 7))
     v_s, u_c, t_s = [], [], []

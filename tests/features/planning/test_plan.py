@@ -143,17 +143,7 @@ def test_campaign_whose_information_has_no_number_is_told_and_ends(tmp_path, tex
         forecast_plan(read_plan(tmp_path / "plan.toml"))
 
 
-@pytest.mark.parametrize(
-    ("section", "key", "value"),
-    [("strips", "stars", 10**12), ("strips", "count", 0), ("cameras", "n_ccds", 0), ("targets", "count", -1)],
-)
-def test_count_that_no_campaign_has_is_told_with_its_range(tmp_path, section, key, value):
-    (tmp_path / "plan.toml").write_text(f"[{section}]\n{key} = {value}\n")
-    with pytest.raises(RawDataError, match=f"plan.{section}: found {key} must be 1 to .*, got {value}"):
-        read_plan(tmp_path / "plan.toml")
-
-
-def test_no_number_of_a_plan_is_negative_but_an_angle():
+def test_no_number_of_a_plan_is_negative_but_an_angle_and_counts_have_a_range():
     sections = {part.name: part.default_factory() for part in fields(Plan)}
     numbers = {
         (name, key.name): getattr(section, key.name)
@@ -169,6 +159,10 @@ def test_no_number_of_a_plan_is_negative_but_an_angle():
             continue
         with pytest.raises(RawDataError, match=f"plan.{name}: found .*{key} must be"):
             settings_from_values(Plan, given, "plan", "plan")
+        for count in (0, 10**13) if isinstance(value, int) and (name, key) != ("sky", "count") else ():
+            said = f"plan.{name}: found {key} must be 1 to .*, got {count}"
+            with pytest.raises(RawDataError, match=said):
+                settings_from_values(Plan, {name: {key: count}}, "plan", "plan")
     for key in ("across", "along"):
         with pytest.raises(RawDataError, match=r"plan.targets: found across and along must increase"):
             settings_from_values(Plan, {"targets": {key: [1.0, -1.0]}}, "plan", "plan")
