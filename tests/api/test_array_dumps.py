@@ -114,6 +114,25 @@ def test_errors_of_attitudes_are_read_back_as_they_were_given(attitudes: dict) -
         np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), rtol=1e-12)
 
 
+def test_a_line_of_sight_stated_wrongly_moves_the_matrix_as_its_blind_spot_says(attitudes: dict) -> None:
+    """Axes of the head are bold, and its aberration is left in."""
+    true_s, degrees = BOLD.apply([0.0, 0.0, 1.0]), 3.0
+    right = bs.calibrate(bs.dump_from_arrays(**attitudes, line_of_sight_s=true_s))
+    spots = right.blind_spots[right.blind_spots["cause"] == "line of sight of the attitudes"]
+    assert len(spots) == 2 and spots["is_unseen"].all() and set(spots["unit"]) == {"deg"}
+    for spot in spots.itertuples():
+        across = np.array([float(one) for one in spot.item.partition("[")[2].strip("]").split(",")])
+        assert abs(across @ true_s) < 0.02  # two digits are printed
+        stated = true_s + np.radians(degrees) * across
+        stated /= np.linalg.norm(stated)
+        wrong = bs.calibrate(bs.dump_from_arrays(**attitudes, line_of_sight_s=stated))
+        assert wrong.verdict == "consistent"  # nothing shows it
+        moved = -(wrong.R_cs * right.R_cs.inv()).as_rotvec() / ARCSEC  # theta turns by -theta
+        told = degrees * np.array([spot.effect_x_arcsec, spot.effect_y_arcsec, spot.effect_z_arcsec])
+        # Second order in 3 deg: 0.05 of the change; matching begins elsewhere, 0.05 arc-second.
+        assert np.abs(moved - told).max() < 0.1, (moved, told)
+
+
 def test_exposures_without_ids_are_numbered_from_one(given: dict) -> None:
     rows = given["exposures"].drop(columns="id").to_dict("records")
     rows[4]["id"] = "named"

@@ -35,10 +35,8 @@ def solution(pixels: np.ndarray) -> bs.StarSolution:
 
 
 @pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
-@pytest.mark.parametrize("kind", [np.float32, np.float64])
-def test_floating_images_of_known_saturation_give_the_stars_of_integers(
-    pixels: np.ndarray, kind: type
-) -> None:
+@pytest.mark.parametrize("kind", [np.float32, np.float64, np.int32, np.uint16])
+def test_every_type_of_an_image_gives_the_same_stars(pixels: np.ndarray, kind: type) -> None:
     settings = bs.StarSettings(saturation_dn=FULL_DN)
     known, found = (bs.find_stars(image, settings=settings) for image in (pixels, pixels.astype(kind)))
     assert len(known) == len(found)

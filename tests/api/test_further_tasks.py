@@ -1,5 +1,6 @@
 """Further tasks of people who know names and docstrings alone, with values given by mistake."""
 
+import datetime
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -8,8 +9,10 @@ from typing import Any
 import astropy.units as units
 import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 import pytest
 import rasterio
+from astropy.time import Time
 from matplotlib.axes import Axes
 from scipy.spatial.transform import Rotation
 
@@ -84,11 +87,25 @@ def test_a_plan_takes_numbers_of_numpy_and_its_forecast_is_drawn(monkeypatch: py
     plt.close("all")
 
 
+def test_what_is_not_matched_says_why() -> None:
+    found = bs.match_template(
+        np.ones((64, 64)), np.random.default_rng(1).normal(size=(200, 200)), start_px=(90, 90)
+    )
+    assert not found and repr(found) == f"not matched: {found.sentence}"
+
+
 def test_a_file_in_place_of_a_folder_is_said() -> None:
     with pytest.raises(bs.RawDataError, match=r"found a file, expected a folder with a dump\.toml"):
         bs.open_dump(MINI / "dump.toml")
     with pytest.raises(ValueError, match=r"settings: .*expected the path of a TOML file, or Settings"):
         bs.calibrate(MINI, settings={"run": {"rounds": 1}})  # type: ignore[arg-type]
+
+
+def test_an_instant_is_the_same_in_all_its_forms() -> None:
+    noon, India = datetime.datetime(2024, 11, 20, 12, 0, 0, 250000), datetime.timedelta(hours=5, minutes=30)
+    forms = ["2024-11-20T12:00:00.25", noon, np.datetime64(noon), Time("2024-11-20T12:00:37.25", scale="tai")]
+    forms += [(noon + India).replace(tzinfo=datetime.timezone(India)), pd.Timestamp(noon, tz="UTC")]
+    assert {pd.Timestamp(accepted.utc_of(one, "time")) for one in forms} == {pd.Timestamp(noon)}
 
 
 R_ANY = Rotation.from_euler("xyz", [40, -65, 110], degrees=True).as_matrix()

@@ -1,8 +1,10 @@
-"""Targets as points of a GeoDataFrame, in and out."""
+"""Targets as points of a GeoDataFrame, in and out; geopandas is not loaded before it is asked for."""
 
 import dataclasses
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -99,3 +101,8 @@ def test_directions_have_no_places() -> None:
     result = bs.calibrate_vectors(*drawn_vectors(np.random.default_rng(6)))
     with pytest.raises(ValueError, match="no place of a target is known"):
         result.geodataframe()
+
+
+def test_nothing_loads_geopandas_before_it_is_needed() -> None:
+    code = "import boresight, sys; boresight.calibrate_vectors; print('geopandas' in sys.modules)"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "False\n"

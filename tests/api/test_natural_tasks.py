@@ -84,6 +84,12 @@ def at(finished: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) ->
     return At(given, result, calibrated, finished[0], orbit, tmp_path_factory.mktemp("tasks"))
 
 
+def frames_of_unequal_length_with_one_sigma_a_vector(at: At) -> None:
+    sizes = (5, 9, 14, 20)
+    cut = [[part[k][:n] for k, n in enumerate(sizes)] for part in (at.given.u_s, at.given.v_stars)]
+    assert right(bs.calibrate_vectors(*cut, [np.full(n, SIGMA_S) for n in sizes], *at.given[3:]))
+
+
 def frames_of_unequal_length_as_nested_lists(at: At) -> None:
     cut = [[part[k][: 10 + k].tolist() for k in range(4)] for part in (at.given.u_s, at.given.v_stars)]
     sigmas = [[SIGMA_S] * (10 + k) for k in range(4)]
@@ -126,6 +132,11 @@ def one_target_and_a_prior(at: At) -> None:
 def a_prior_that_the_vectors_contradict_refutes(at: At) -> None:
     off = Rotation.from_rotvec([0.0, 0.0, 1e-3]) * R_TRUE
     assert bs.calibrate_vectors(*at.given._replace(R_cs0=off), sigma_R_cs0_rad=1e-5).verdict == "refuted"
+
+
+def targets_as_places_with_an_orbit(at: At) -> None:
+    found = calibrated_places(at, [places_below(at.orbit, n) for n in (50, 60)])
+    assert right(found) and len(found.targets) == 24
 
 
 def targets_as_places_with_astropy_times_and_units(at: At) -> None:
@@ -193,6 +204,12 @@ def know_which_vectors_were_rejected(at: At) -> None:
         assert names and names == found.not_used.loc[found.not_used["kind"] == kind, "name"].tolist()
     text = found.not_used.query("kind == 'target'")["reason"].iloc[0]
     assert "that the other targets predict" in text
+
+
+def join_residuals_with_own_tables(at: At) -> None:
+    own = pd.DataFrame({"frame": np.repeat(range(4), 20), "target": np.tile(range(20), 4)})
+    joined = own.merge(at.result.residuals(), on=["frame", "target"])
+    assert len(joined) == 80 and np.isfinite(joined["residual_x_arcsec"]).all()
 
 
 def save_and_read_back(at: At) -> None:
@@ -271,6 +288,13 @@ def the_same_bits_again_and_in_any_order_of_frames(at: At) -> None:
     assert same(bs.calibrate_vectors(*back), at.result)
 
 
+def numbers_for_a_paper(at: At) -> None:
+    table = at.result.table()
+    assert table["sigma_arcsec"].to_numpy() == pytest.approx(at.result.sigma_arcsec)
+    assert np.allclose(table[["correlation_x", "correlation_y", "correlation_z"]], table.iloc[:, 3:].T)
+    assert at.result.R_cs.as_quat().shape == (4,)
+
+
 def more_weight_by_leaving_a_frame_out(at: At) -> None:
     less = bs.what_if(at.result, {"0": np.inf})
     rest = bs.calibrate_vectors(*(part[1:] if isinstance(part, list) else part for part in at.given))
@@ -307,6 +331,20 @@ def debug_lines_are_our_own(at: At) -> None:
 
 def two_results_of_one_mission_one_from_vectors(at: At) -> None:
     assert bs.compare(at.result, at.calibrated).differs
+
+
+def cut_a_result_by_hand(at: At) -> None:
+    bad = at.result.targets.nlargest(3, "statistic")
+    keep = [
+        [row for row in range(20) if (k, row) not in set(zip(bad["frame"], bad["target"]))] for k in range(4)
+    ]
+    cut = [[part[k][keep[k]] for k in range(4)] for part in (at.given.w_c, at.given.v_targets)]
+    assert right(bs.calibrate_vectors(*at.given[:3], *cut, *at.given[5:]))
+
+
+def show_it_in_a_notebook(at: At) -> None:
+    assert "<table" in at.result._repr_html_() and at.result.plot().get_legend() is not None
+    plt.close("all")
 
 
 def of_astropy(vectors: np.ndarray) -> object:

@@ -34,6 +34,7 @@ from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import LOOK_AT, TOO_SMALL, Check, CheckKind, Outcome, Verdict
 from boresight.features.exports import formats
 from boresight.features.exports.csm_isd import parameter_covariance
+from boresight.features.exports.spice_export import SpiceFrames, instrument_kernel
 from boresight.features.interior import interior_files
 from boresight.features.mission import joint_trend, trends
 from boresight.features.mission.mounting_comparison import Comparison
@@ -376,6 +377,34 @@ def xyz(what: str, values: Any) -> dict[str, float]:
     return {f"{what}_{axis}_arcsec": value for axis, value in zip("xyz", values)}
 
 
+def in_order(corners: Any) -> list[list[float]]:
+    return sorted(np.round(corners, 9).tolist())
+
+
+def fields_of_view(folder: Path) -> tuple[Any, Any]:
+    """Tangents of the corners of both CCDs, by x = -f u_x / u_z and y likewise."""
+    camera = LineCamera(focal_m=0.75, ccds=CCDS)
+    frames = SpiceFrames()
+    text = instrument_kernel(camera, frames, "")
+    made, right, ends = {}, {}, []
+    for number, rows in re.findall(r"INS(-?\d+)_FOV_BOUNDARY = \(\n(.*?)\)", text, re.S):
+        corners = np.array([line.split() for line in rows.strip().splitlines()], dtype=float)
+        made[int(number)] = in_order(corners[:, :2] / corners[:, 2:])
+        middle = re.search(rf"INS{number}_BORESIGHT = \(([^)]*)\)", text)
+        made[f"{number}, boresight"] = np.array(middle[1].split(), dtype=float) - corners.mean(axis=0)
+        right[f"{number}, boresight"] = np.zeros(3)
+    for n, ccd in enumerate(CCDS):
+        y = -(ccd.y_first_m + np.array([-0.5, ccd.n_px - 0.5]) * 7e-6) / 0.75
+        x = -ccd.x_offset_m / 0.75 + np.array([-0.5, 0.5]) * 7e-6 / 0.75
+        ends.append([[a, b] for a in x for b in y])
+        right[frames.remote_camera_id - 1 - n] = in_order(ends[-1])
+    every = np.concatenate(ends)
+    low, high = every.min(axis=0), every.max(axis=0)
+    box = [[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])]
+    right[frames.remote_camera_id] = in_order(box)
+    return made, right
+
+
 def interior(folder: Path) -> tuple[Any, Any]:
     """Parameters in their units, and the new focal length behind the old one."""
     old, new = LineCamera(focal_m=0.75, ccds=CCDS), LineCamera(focal_m=0.7503, ccds=CCDS)
@@ -643,6 +672,7 @@ CASES: dict[str, Callable[[Path], tuple[Any, Any]]] = {
     "features/mission/joint_trend.py": trend,
     "features/mission/trends.py": required,
     "features/exports/formats.py": exported_attitudes,
+    "features/exports/spice_export.py": fields_of_view,
     "features/interior/interior_files.py": interior,
     "pipeline/results/writing.py": installations,
     "boresight/matching.py": results_shown,

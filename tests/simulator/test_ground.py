@@ -8,7 +8,7 @@ import pytest
 from pyproj import Proj
 
 from boresight.simulator.ground import BlurredGround, GroundImage, ImageGround, ProceduralGround
-from boresight.simulator.lattice_noise import fractal, white, white_at
+from boresight.simulator.lattice_noise import fractal, smooth_noise, white, white_at
 from boresight.simulator.relief import relief_grid
 from boresight.simulator.scenario import CloudSettings, GroundSettings, OtherDateSettings, TerrainSettings
 
@@ -57,6 +57,19 @@ def test_fractal_noise_has_no_seams():
     assert np.array_equal(part, whole[50:149, 120:221])
 
 
+def test_smooth_noise_is_smooth():
+    x = np.linspace(0.0, 10.0, 10_001)
+    noise = smooth_noise(x, np.full_like(x, 0.3), key=2)
+    assert np.abs(np.diff(noise)).max() < 1e-3 * 4.0  # slope of the fade is at most 15 / 8 of a step of 2
+
+
+def test_windows_of_the_ground_fit_together():
+    blurred = BlurredGround(ground(), 1.2)
+    whole = blurred.window(COLUMN - 300, ROW + 200, 1400, 1300)
+    part = BlurredGround(ground(), 1.2).window(COLUMN + 500, ROW + 900, 200, 150)
+    assert np.array_equal(part, whole[700:850, 800:1000])
+
+
 def test_tiles_meet_without_an_edge():
     """Four tiles about a corner show what one piece of land without that corner shows."""
     column, row = (COLUMN // 1024 + 1) * 1024, (ROW // 1024 + 1) * 1024
@@ -68,6 +81,25 @@ def test_tiles_meet_without_an_edge():
     assert (difference > 0.005).mean() < 2e-3  # edges of polygons that the rim of a tile cuts off elsewhere
     assert (difference[:, 390:410] > 0.005).mean() < 2e-3
     assert (difference[390:410] > 0.005).mean() < 2e-3
+
+
+def test_patches_of_one_place_differ_by_less_than_their_rims():
+    """Polygons cut off at another rim may be drawn a little differently along their edges, not elsewhere."""
+    one, two = ground().patch(COLUMN, ROW, 600, 500), ground().patch(COLUMN + 37, ROW + 11, 500, 450)
+    difference = np.abs(one[11:461, 37:537] - two)
+    assert (difference > 0.02).mean() < 2e-3
+
+
+def test_reflectance_and_contrast_are_those_of_land():
+    patch = ground().patch(COLUMN, ROW, 2000, 2000)
+    assert patch.dtype == np.float32
+    assert 0.0 < patch.min() and patch.max() < 1.0
+    assert 0.1 < patch.mean() < 0.35
+    assert 0.05 < patch.std() < 0.2
+
+
+def test_another_date_without_changes_shows_the_same_ground():
+    assert np.array_equal(ground(0).patch(COLUMN, ROW, 300, 300), ground(1).patch(COLUMN, ROW, 300, 300))
 
 
 @pytest.mark.parametrize(

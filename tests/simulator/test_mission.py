@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.earth_rotation import EarthRotation
+from boresight.geometry.installation import theta_between
 from boresight.geometry.orbit import Orbit
 from boresight.geometry.terrain import TerrainGrid
 from boresight.simulator.mission import render_mission
@@ -62,6 +63,13 @@ def test_nothing_that_the_mission_knows_is_the_truth(mission):
     assert {f.name for f in dataclasses.fields(Mission) if "truth" in f.name.lower()} == {"truth"}
 
 
+def test_the_installation_is_wrong_by_what_the_scenario_says(mission):
+    theta = theta_between(mission.truth.R_cs, mission.installation.R_cs)
+    assert np.allclose(theta, [0.003, 0.002, 0.001], rtol=0.0, atol=1e-12)  # rad, rounding
+    z_s = mission.installation.R_cs.apply([0.0, 0.0, 1.0])
+    assert np.degrees(np.arccos(-z_s[2])) == pytest.approx(40.0, abs=1e-9)
+
+
 def test_reported_positions_are_wrong_by_one_draw_for_each_strip(mission, tables):
     epoch, times = mission.epoch, mission.orbit.t_s
     earth = EarthRotation.over(epoch, times[0], times[-1], tables[0])
@@ -84,6 +92,34 @@ def test_reported_positions_are_wrong_by_one_draw_for_each_strip(mission, tables
         assert np.allclose(error, truth.position_error_m, rtol=0.0, atol=1e-3)
     draws = np.array([strip.position_error_m for strip in mission.truth.strips])
     assert 0.5 < draws.std() < 6.0  # m; six draws of 2 m
+
+
+def test_velocities_are_the_rate_of_the_positions(mission):
+    o = mission.orbit
+    rate = (o.positions_m[2:] - o.positions_m[:-2]) / 2.0
+    third = (o.velocities_m_s[2:] - 2.0 * o.velocities_m_s[1:-1] + o.velocities_m_s[:-2]) / 6.0
+    # Central differences with their next term; what is left is of fifth order, and the error's own jerk.
+    assert np.abs(rate - third - o.velocities_m_s[1:-1]).max() < 0.03  # m/s
+
+
+def test_rows_are_reported_with_the_clock_s_error(mission):
+    plan = mission.scenario.strips
+    for strip in mission.strips:
+        n = int(strip.strip_id[1:]) - 1
+        true = plan.first_s + n * plan.spacing_s
+        offset = mission.truth.strips[n].clock_offset_s
+        assert strip.t_first_row_s - true == pytest.approx(offset, abs=1e-12)
+        assert 0.0 < abs(offset) < 5e-4  # s, five sigma
+
+
+def test_exposures_surround_every_row(mission):
+    times = np.array([exposure.t_s for exposure in mission.exposures])
+    for strip in mission.strips:
+        end = strip.t_first_row_s + strip.lines * strip.row_period_s
+        assert (times < strip.t_first_row_s).sum() >= 2
+        assert (times > end).sum() >= 2
+        assert ((times > strip.t_first_row_s - 1.0) & (times < end + 1.0)).sum() >= 4
+    assert np.allclose(np.mod(times * 5.0 + 0.5, 1.0), 0.5, atol=1e-9)  # on the star camera's 5 Hz
 
 
 def test_all_errors_can_be_switched_off(quiet_mission):
@@ -111,6 +147,16 @@ def test_vibration_has_the_size_that_was_asked_for(mission):
     assert np.all((step > 0.012) & (step < 0.06))
 
 
+def test_targets_and_check_points_are_seen_by_some_ccd(mission):
+    ids = {point.point_id for point in mission.truth.targets}
+    chips = {chip.target_id for chip in mission.chips}
+    assert ids == {target.target_id for target in mission.targets} == chips
+    assert len(ids) == 8
+    for point in (*mission.truth.targets, *mission.truth.check_points):
+        assert -0.5 <= point.sample <= 511.5
+        assert -0.5 <= point.line <= 299.5
+
+
 @pytest.fixture(scope="module")
 def rough_mission(small, stars, tables):
     """The small mission with heights that are wrong by 3 m."""
@@ -133,3 +179,12 @@ def test_points_lie_on_the_true_terrain_and_not_on_the_one_of_the_user(mission, 
         points = one.truth.check_points
         lat, lon, height = np.array([(p.lat_deg, p.lon_deg, p.height_ellipsoidal_m) for p in points]).T
         assert low_m < (grid.height_m(np.radians(lat), np.radians(lon)) - height).std() < high_m
+
+
+def test_stated_errors_are_those_of_the_draws(mission):
+    errors, stated = mission.scenario.errors, mission.errors
+    assert stated.position_m == errors.gps_m == 2.0
+    assert stated.clock_s == errors.clock_s == 1e-4
+    assert stated.vibration_arcsec == errors.vibration_arcsec
+    assert stated.look_distortion_px == errors.distortion_px
+    assert mission.terrain.sigma_m == mission.scenario.terrain.error_m

@@ -103,6 +103,15 @@ def gaussian(p):
     return p[3] + p[2] * np.exp(-0.5 * ((np.arange(-5, 6) - p[1]) / p[5]) ** 2)[:, None] * across
 
 
+def test_smear_follows_the_body_rate(mission, stars):
+    scenario = mission.scenario.star_camera
+    truth = [mission.truth.exposure(mission.exposures[n].exposure_id) for n in (4, 5)]
+    turn = (truth[1].R_si * truth[0].R_si.inv()).magnitude()
+    rate = turn * scenario.rate_hz  # rad/s
+    # One turn in 95 minutes, less what yaw steering and the oscillation change.
+    assert rate == pytest.approx(2.0 * np.pi / (95.1 * 60.0), rel=0.1)
+
+
 def test_faint_stars_are_invented_beyond_the_catalogue(mission):
     truth = mission.truth.exposure("e0001")
     invented = truth.v_mag[truth.hip == 0]

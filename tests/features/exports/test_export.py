@@ -17,12 +17,14 @@ from astropy.io import fits
 from command_line import invoked, ran
 from pyproj import CRS
 from pytest import approx
+from scipy.spatial.transform import Rotation
 
 from boresight.features.exports import formats
 from boresight.features.exports.formats import FORMATS
 from boresight.features.exports.ground_error import ground_error
 from boresight.features.exports.notes import notes_of
 from boresight.features.geolocate.positions import Pixels, ground_places
+from boresight.geometry.epoch import Epoch
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
@@ -134,6 +136,24 @@ def test_a_dump_reads_the_exported_kernels_as_the_attitudes_they_were_made_from(
     assert (star.R_si * track.R_si(t_s).inv()).magnitude().max() < 3e-10
     turned = remote.R_si * (calibrated.result.R_cs * star.R_si).inv()
     assert turned.magnitude().max() < 1e-12 and len(t_s) > 30
+
+
+def test_the_attitude_message_holds_the_cameras_attitude(exported, finished):
+    calibrated = open_calibrated(finished[1], finished[0])
+    name = calibrated.dump.strips[0].strip_id
+    model = strip_model(calibrated, name)
+    lines = (exported[0] / f"{name}.aem").read_text().splitlines()
+    rows = [line.split() for line in lines[lines.index("DATA_START") + 1 : lines.index("DATA_STOP")]]
+    t_s = calibrated.dump.epoch.seconds_from_utc([row[0] for row in rows])
+    # Written to the nanosecond, in which the camera turns by 1e-12 rad; quaternions to 1e-15.
+    u_c = np.array([0.0, 0.01, 0.99995])
+    for row, t in zip(rows, t_s):
+        u_i = Rotation.from_quat([float(value) for value in row[1:]]).apply(u_c)
+        expected = (calibrated.result.R_cs * model.track.R_si(np.array([t]))[0]).inv().apply(u_c)
+        assert u_i == approx(expected, abs=3e-12)
+    ends = model.pushbroom.instants(np.array([-0.5, model.strip.lines - 0.5]))
+    assert t_s[[0, -1]] == approx(ends, abs=2e-9)  # from the first edge of the image to its last
+    assert isinstance(calibrated.dump.epoch, Epoch)
 
 
 def test_isds_cover_all_samples_of_all_ccds(exported, finished):

@@ -4,11 +4,9 @@ import csv
 import io
 import json
 from dataclasses import replace
-from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from lopsided import PLACES
 from orbiting_camera import LINES, NOTES, strip
 
 from boresight.features.exports.ground_control_points import (
@@ -18,14 +16,12 @@ from boresight.features.exports.ground_control_points import (
     points_geojson,
     points_qgis,
 )
-from boresight.features.exports.kml import kml_text
 from boresight.geometry.constants import WGS84
 from boresight.geometry.geodesy import geodetic_from_ecef
 from boresight.geometry.geoid import egm96
 from boresight.geometry.pushbroom import outline_deg
 from boresight.geometry.terrain import ConstantHeight
 
-KML = "{http://www.opengis.net/kml/2.2}"
 POINTS = GroundPoints(
     strip_id="S01",
     ccd=2,
@@ -111,20 +107,3 @@ def test_the_outline_of_a_strip_is_that_of_the_ground_points_of_its_outer_sample
     found = {(round(a, 7), round(b, 7)) for a, b in zip(lat, lon)}
     for lats, lons in corners:
         assert {(round(a, 7), round(b, 7)) for a, b in zip(lats, lons)} <= found
-
-
-def test_kml_has_longitude_before_latitude_and_the_height_of_each_target() -> None:
-    lat, lon, height = np.array(list(PLACES.values())).T
-    table = {"lat_deg": lat, "lon_deg": lon, "height_m": height, "used": np.array([True, False, True])}
-    points = replace(POINTS, target_id=tuple(PLACES), **table)
-    outline = np.column_stack([lon, lat])
-    root = ElementTree.fromstring(kml_text({"S": outline}, [points], NOTES))
-    marks = {mark.findtext(f"{KML}name"): mark for mark in root.iter(f"{KML}Placemark")}
-    for name, (latitude, longitude, above) in PLACES.items():
-        text = marks[name].findtext(f"{KML}Point/{KML}coordinates")
-        assert [float(value) for value in text.split(",")] == [longitude, latitude, above]
-        assert marks[name].findtext(f"{KML}styleUrl") == ("#rejected" if name == "Walvis" else "#used")
-    ring = marks["S"].findtext(f".//{KML}LinearRing/{KML}coordinates").split()
-    corners = [tuple(map(float, corner.split(",")[:2])) for corner in ring[:-1]]
-    assert corners == list(map(tuple, outline.tolist()))
-    assert ring[0] == ring[-1]

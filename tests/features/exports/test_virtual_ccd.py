@@ -125,6 +125,15 @@ def test_the_virtual_line_is_the_least_squares_line_through_all_pixels():
     assert np.abs(-u_c[:, :2] / u_c[:, 2:] * 10.0 - on_line).max() < 1e-14
 
 
+def test_a_plain_detector_is_its_own_virtual_ccd():
+    place = {"y_first_m": -0.01, "x_offset_m": 0.003, "rotation_rad": 0.02, "principal_sample": 250.0}
+    plain = LineCamera(10.0, (Ccd(n_px=500, pixel_m=1e-5, **place),))
+    ideal = virtual_camera(plain)
+    n = np.array([0.0, 123.0, 498.0])
+    difference = ideal.directions_from_pixels(0, n) - plain.directions_from_pixels(0, n)
+    assert np.abs(difference).max() < 1e-12  # rad; the pitch is along the line
+
+
 def test_every_virtual_pixel_finds_the_ground_in_the_real_image(scene):
     model, _, _ = scene
     strip = VirtualStrip(model, ConstantHeight(HEIGHT_M))

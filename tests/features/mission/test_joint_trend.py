@@ -5,6 +5,7 @@ Vectors only: results are drawn from their own information. The mounting is far 
 information is lopsided and turned, so that a wrong frame or sign shows.
 """
 
+import itertools
 from dataclasses import replace
 from functools import reduce
 
@@ -213,3 +214,15 @@ def test_what_is_shared_hides_no_step(strips):
     assert np.all(np.abs(found.step.theta - [0.0, 0.0, 14.0 * ARCSEC]) < 4.0 * sigma)
     alone = against_rest(series_taken_as_independent(moved))
     assert found.step.p_value < 0.01 * alone.step.p_value
+
+
+def test_the_merged_matrix_is_the_same_in_any_order():
+    rng = np.random.default_rng(10)
+    series = drawn(rng.normal(size=(4, 3)) * ARCSEC, rng, MONTHS[:4])
+    expected = fit_columns(series, np.ones((4, 1))).coefficients[0]
+    for order in itertools.permutations(range(4)):
+        at = list(order)
+        parts = {name: getattr(series, name)[at] for name in ("F", "F_shared", "right")}
+        # sums in another order: rounding of doubles, 1e-12 of a theta
+        found = fit_columns(replace(series, **parts), np.ones((4, 1))).coefficients[0]
+        assert_allclose(found, expected, rtol=1e-9)

@@ -57,7 +57,7 @@ def test_ragged_frames_give_what_each_gives_alone():
 @pytest.mark.parametrize(
     ("stars", "targets", "tolerance_arcsec"),
     # theta is 7 arcsec off about Z in frames of few targets: the forms part at second order in that
-    [(30, 10, 1e-4), (12, 4, 5e-3), (40, 3, 5e-3)],  # 60 and 20: equations.py, (A13)
+    [(30, 10, 1e-4), (60, 20, 1e-4), (12, 4, 5e-3), (40, 3, 5e-3)],
 )
 def test_information_form_is_the_literal_form(stars, targets, tolerance_arcsec):
     frames = drawn(3, 1, stars, targets)

@@ -129,6 +129,8 @@ def test_a_number_of_the_caption_is_that_of_the_table() -> None:
     assert "1.00, 1.00 and 1.00 of the paper's" in text and "1.0, 1.0 and 1.0 times" in text
     assert CAPTIONS["inputs"](inputs(1.0)).startswith("3 of 3 printed values")
     assert CAPTIONS["inputs"](inputs(3.0)).startswith("1 of 7 printed values")
+    assert "Ours is +0.10 m from the floor" in CAPTIONS["table5"](table5(1.0))
+    assert "by +1.00 m in the mean" in CAPTIONS["table5"](table5(1.0))
 
 
 def test_the_distance_from_the_floor_is_that_of_root_mean_squares():
