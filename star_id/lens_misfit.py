@@ -23,7 +23,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cache, lru_cache
+from functools import cache
 
 import numpy as np
 from scipy.linalg import cho_solve
@@ -231,7 +231,6 @@ class LensEquations:
         columns = _columns(self.camera, self.u_s, self.xy_px, slopes, self.free, stretched=stretch_px > 0.0)
         return replace(self, slopes=slopes, columns=columns, stretch_px=stretch_px)
 
-    @lru_cache(maxsize=1)  # asked for a stretch, then for the errors  # noqa: B019
     def solved(self, common_px2: float) -> _Linear:
         """Solution with a variance, px^2, added to each star's along both axes."""
         return self.normal(common_px2).solved(self.sigma)
