@@ -143,7 +143,8 @@ def test_centroids_are_scored_against_a_truth(folder, tmp_path):
     seen = np.flatnonzero(score.stars)
     for k, found in zip(seen, bins, strict=True):
         printed = [score.stars[k], score.found[k] / score.stars[k], score.rms_px[k], score.bound_px[k]]
-        printed += [score.over_bound[k], score.over_bound_error[k], score.chi2[k], score.chi2_error[k]]
+        printed += [*(np.array([score.rms_px[k], score.rms_error_px[k]]) / score.bound_px[k])]
+        printed += [score.chi2[k], score.chi2_error[k]]
         assert found[-8:] == pytest.approx(printed, abs=5.1e-3)
         assert found[0] == pytest.approx(score.snr_edges[k], abs=0.51)
     last = numbers(rows[-1]), np.abs(score.phase_bias_px), score.phase_error_px

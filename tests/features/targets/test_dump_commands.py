@@ -106,6 +106,8 @@ def test_a_sound_dump_shows_footprints_and_the_nearest_miss_of_every_target(one_
     assert status == 0, text
     found = json.loads(text)["result"]
     assert found["errors"] == [] and list(found["footprints"]) == ["s01"]
+    # 32 um behind 100 mm are 66.0"; 1024 of them 18.6 degrees, a little more by the distortion
+    assert "star camera star_camera: 18.62° wide, 66 arcsec a pixel" in found["facts"]
     far, *others = found["targets"]
     assert far["nearest"] == "s01" and far["seen_by"] == [] and far["target_id"] == moved[0]
     assert far["contradiction"].startswith("lat_deg 36.01 for 36.51 (one digit) would lie in its chip")

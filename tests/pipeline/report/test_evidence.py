@@ -42,6 +42,15 @@ def test_convergence_ends_at_the_result(finished):
     assert (steps[-1]["frames"], steps[-1]["targets"]) == (installation["frames"], installation["targets"])
 
 
+def test_twice_as_many_strips_have_at_least_the_error_of_twice_as_many_observations(finished):
+    installation = json.loads((finished[1] / "installation.json").read_text())
+    context = json.loads((finished[1] / "evidence" / "context.json").read_text())
+    told = {one["change"]: np.array(one["sigma_rad"]) for one in context["improvements"]}
+    share = told["twice as many strips"] / np.sqrt(np.diag(installation["covariance_rad2"]))
+    # sqrt(1/2) if all errors were those of strips; what strips have in common does not average
+    assert np.sqrt(0.5) - 1e-6 < share.min() and share.max() < 0.99
+
+
 def test_convergence_knows_nothing_while_one_axis_is_not_observable(monkeypatch):
     F = np.array([np.diag([1.0, 4.0, 0.0]), np.diag([3.0, 12.0, 25.0])]) * 1e10
     pairs = Of(names=np.array(["a", "b"]), F=F, F_theta=np.einsum("kij,j->ki", F, [3e-6, -2e-6, 1e-6]))
