@@ -54,7 +54,7 @@ def errors(case: Case, outcome: StripMatches) -> tuple[NDArray, NDArray]:
 
 @pytest.fixture(scope="module")
 def elsewhere(case: Case) -> SmallStrip:
-    """The strip of another place: the ground turned by half a revolution."""
+    """The strip of another place: the ground rotated by half a revolution."""
     return SmallStrip({ccd: image[::-1, ::-1].copy() for ccd, image in case.strip.images.items()})
 
 
