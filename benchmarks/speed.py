@@ -61,10 +61,10 @@ STAGE = "boresight.pipeline.calibration.assessment."
 WITHOUT = {
     "examined": Reliability((), (), ()),
     "moved_inputs": (),
-    "ground_ledger": None,
-    "star_ledger": None,
+    "losses.ground_ledger": None,
+    "losses.star_ledger": None,
     "_explanations": [],
-    "input_findings": [],
+    "input_findings.input_findings": [],
 }
 
 

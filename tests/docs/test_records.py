@@ -1,5 +1,6 @@
 """The table of benchmarks is made of their verdicts; records that pages quote say what they are of."""
 
+import pkgutil
 import re
 import sys
 from pathlib import Path
@@ -22,6 +23,12 @@ def record(monkeypatch):
 
     monkeypatch.setattr(record, "_FAILED", [])
     return record
+
+
+def test_what_the_benchmark_of_speed_leaves_out_of_a_calibration_exists(record) -> None:
+    import speed
+
+    assert all(callable(pkgutil.resolve_name(f"{speed.STAGE}{name}")) for name in speed.WITHOUT)
 
 
 def named_records() -> set[str]:
