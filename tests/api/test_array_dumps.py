@@ -4,6 +4,7 @@ The mounting of the example is bold: 168, -9 and 144 degrees about x, y and z; a
 turned further, so that none of them is the line of sight.
 """
 
+import copy
 from pathlib import Path
 
 import numpy as np
@@ -69,8 +70,8 @@ def read() -> dict:
 
 @pytest.fixture
 def given(read: dict) -> dict:
-    """The same, of which a test may replace some."""
-    return dict(read)
+    """The same, which a test may change."""
+    return copy.deepcopy(read)
 
 
 def test_look_tables_and_lists_of_stars_give_the_matrix_of_truth(given: dict) -> None:
