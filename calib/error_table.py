@@ -35,7 +35,8 @@ from boresight.calib.heads import of_heads
 from boresight.calib.predicted_earth import earth_names, prior_of_predictions
 from boresight.calib.settings import CalibrationSettings
 from boresight.geometry.constants import EARTH_ROTATION_RATE
-from boresight.records.record import Bools, Ints, array, record, scalar
+from boresight.geometry.sightings import sigma_of
+from boresight.records.record import Bools, Ints, array, inner, record, scalar
 
 if TYPE_CHECKING:
     from boresight.calib.strips import PreparedStrip
@@ -84,11 +85,7 @@ class CommonBias:
     value: Array = array("N", "stated less true")
     covariance: Array = array("N, N", "of `value`")
     stated: Array = array("N", "1-sigma stated for one strip")
-
-    @property
-    def sigma(self) -> Array:
-        """1-sigma (N,) of `value`."""
-        return np.sqrt(np.diag(self.covariance))
+    sigma = inner[Array]("covariance", "1-sigma (N,) of `value`", of=sigma_of)
 
     def texts(self) -> list[str]:
         """Each bias with its 1-sigma as text, the clock in milliseconds."""

@@ -14,8 +14,9 @@ from boresight.calib.heads import HeadAgreement, PeriodicError
 from boresight.calib.information import InformationPairs, Iteration
 from boresight.calib.joint_solution import Posed
 from boresight.geometry.installation import theta_between
+from boresight.geometry.sightings import sigma_of
 from boresight.records.ledger import Entry, Kind, Subject
-from boresight.records.record import Bools, Floats, Ints, Texts, array, record, scalar
+from boresight.records.record import Bools, Floats, Ints, Texts, array, inner, record, scalar
 
 __all__ = [
     "CameraRotation",
@@ -99,16 +100,12 @@ class CameraRotation:
     theta: Floats = array("3", "its deviation from that at the start, rad, frame of a")
     covariance: Floats = array("3, 3", "of a small rotation about the axes of a, rad²")
     p_value: float = scalar("of `theta`, by the stated errors of both matrices at the start")
+    sigma = inner[Floats]("covariance", "1-sigma (3,) about the axes of a, rad", of=sigma_of)
 
     @property
     def as_before_launch(self) -> bool:
         """Whether the rotation is that at the start, but for its stated error."""
         return self.p_value >= PROBABILITY_MOVED
-
-    @property
-    def sigma(self) -> Floats:
-        """1-sigma (3,) about the axes of a, rad."""
-        return np.sqrt(np.diag(self.covariance))
 
 
 @record(kw_only=True)
@@ -150,6 +147,7 @@ class InstallationEstimate:
     cov_heads: Floats = array("D, D", "rad², 3 H: small rotations about the axes of c, head after head")
     prior: InformationPairs | None = scalar("on theta, about `R_cs0`; None: none", default=None)
     posed: Posed | None = scalar("the problem that it solves; None: not kept", default=None)
+    sigma_theta = inner[Floats]("cov_theta", "1-sigma (T,) about the axes of frame c, rad", of=sigma_of)
 
     def with_reference(self, name: str) -> InstallationEstimate:
         """The estimate with the reference head's name."""
@@ -160,11 +158,6 @@ class InstallationEstimate:
             agreement=replace(self.agreement, without=without),
             periodic=tuple(replace(one, head=one.head or name) for one in self.periodic),
         )
-
-    @property
-    def sigma_theta(self) -> Floats:
-        """1-sigma (T,) about the axes of frame c, rad."""
-        return np.sqrt(np.diag(self.cov_theta))
 
     def of_camera(self, name: str) -> tuple[Rotation, Floats]:
         """The matrix of one camera, and the covariance (3, 3) of a small rotation about its axes, rad²."""

@@ -28,8 +28,8 @@ from boresight.calib.strips import (
     linearise,
     prepare_strips,
 )
-from boresight.geometry.sightings import StripSightings
-from boresight.records.record import Bools, Floats, Ints, Texts, array, record, scalar
+from boresight.geometry.sightings import StripSightings, sigma_of
+from boresight.records.record import Bools, Floats, Ints, Texts, array, inner, record, scalar
 
 __all__ = [
     "Linearised",
@@ -176,6 +176,7 @@ class Step:
     whitened: Floats  # (J, 2) residuals, all unknowns estimated, in units of the noise
     weight: Floats  # (J,) of the targets, 0 to 1
     reduced: list[_Reduced]  # groups with their own unknowns eliminated, at these weights
+    sigma = inner[Floats]("solution.covariance", "1-sigma (3 C,) of theta, rad", of=sigma_of)
 
     @cached_property
     def leverage(self) -> Floats:
@@ -202,11 +203,6 @@ class Step:
     def variance(self) -> Floats:
         """Covariance (J, 2, 2) of `whitened`: I - leverage for weight one, I + leverage for weight zero."""
         return np.eye(2) + (1.0 - 2.0 * self.weight[:, None, None]) * self.leverage
-
-    @property
-    def sigma(self) -> Floats:
-        """1-sigma (3 C,) of theta, rad."""
-        return np.sqrt(np.diag(self.solution.covariance))
 
     @property
     def iteration(self) -> Iteration:

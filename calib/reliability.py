@@ -24,6 +24,7 @@ leaves something of a large error.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from operator import is_
@@ -522,23 +523,22 @@ def _minima(
     """
     inside, n_theta = one.problem.inside, len(one.step.solution.theta)
     best: list[_Fit | None] = [None] * len(each)
-    tried = [set[bytes]() for _ in each]
-    for start in starts.values():
-        kept_by = dict.fromkeys(range(len(each)), start.weight == 1.0)
+    tried = set[tuple[int, bytes]]()
+    for start in starts:
+        reached = {start: [*range(len(each))]}
         for _ in range(MOST_ROUNDS):
-            together: dict[bytes, list[int]] = {}
-            for n, kept in kept_by.items():
-                if (key := kept.tobytes()) not in tried[n] and 2 * kept.sum() >= n_theta + len(each[n]):
-                    together.setdefault(key, []).append(n)
-                    tried[n].add(key)
-            kept_by = {}
-            for key, those in together.items():
-                step = starts.get(key) or one.solved(np.frombuffer(key, dtype=bool))
-                for n, fit in zip(those, _fits(one, [each[n] for n in those], step)):
+            after = defaultdict[bytes, list[int]](list)
+            for key, those in reached.items():
+                kept = np.frombuffer(key, dtype=bool)
+                new = [n for n in those if (n, key) not in tried and 2 * kept.sum() >= n_theta + len(each[n])]
+                tried.update((n, key) for n in new)
+                step = (starts.get(key) or one.solved(kept)) if new else one.step
+                for n, fit in zip(new, _fits(one, [each[n] for n in new], step)):
                     least = best[n]
                     if fit.sigma.all() and (least is None or fit.criterion < least.criterion):
                         best[n] = fit  # without what an unknown would need, it is no explanation
-                    kept_by[n] = inside & (fit.statistic < one.limit)
+                    after[(inside & (fit.statistic < one.limit)).tobytes()].append(n)
+            reached = after
     # Where none of the starts has observations enough, all are kept.
     return [fit or next(_fits(one, [rows], one.solved(inside))) for fit, rows in zip(best, each)]
 

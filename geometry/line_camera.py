@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
-from boresight.records.record import Floats, array, check_numbers, record, scalar
+from boresight.records.record import Floats, array, check_numbers, inner, record, scalar
 
 __all__ = [
     "Ccd",
@@ -238,6 +238,7 @@ class LineCamera:
     ccds: tuple[Ccd, ...] = array("C", "detectors")
     tdi_stages: int = scalar("rows over which one row's light is accumulated", default=1)
     time_of_row: TimeOfRow = scalar("instant of the exposure that a row's time label means", default="middle")
+    n_ccds = inner[int]("ccds", "number of CCDs", of=len)
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -245,11 +246,6 @@ class LineCamera:
             raise ValueError("LineCamera.ccds must hold at least one CCD")
         if self.time_of_row not in ("start", "middle", "end"):
             raise ValueError(f"LineCamera.time_of_row must be start, middle or end, got {self.time_of_row!r}")
-
-    @property
-    def n_ccds(self) -> int:
-        """Number of CCDs."""
-        return len(self.ccds)
 
     def n_px(self, ccd: int) -> int:
         """Number of pixels of a CCD."""
@@ -326,16 +322,12 @@ class LookAngleCamera:
 
     ccds: tuple[LookTable, ...] = array("C", "detectors")
     _in_plane: LineCamera = field(init=False, repr=False)  # of focal length 1
+    n_ccds = inner[int]("ccds", "number of CCDs", of=len)
 
     def __post_init__(self) -> None:
         if not self.ccds:
             raise ValueError("LookAngleCamera.ccds must hold at least one table")
         object.__setattr__(self, "_in_plane", self._with_focal_length(1.0))
-
-    @property
-    def n_ccds(self) -> int:
-        """Number of CCDs."""
-        return len(self.ccds)
 
     def n_px(self, ccd: int) -> int:
         """Number of pixels of a CCD."""

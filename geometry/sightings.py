@@ -19,7 +19,18 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.attitude import Interpolation
 from boresight.geometry.attitude_noise import NO_NOISE, AttitudeNoise
 from boresight.geometry.gyro import GyroRows
-from boresight.records.record import Bools, Floats, Ints, RowRecord, Texts, array, record, scalar, together
+from boresight.records.record import (
+    Bools,
+    Floats,
+    Ints,
+    RowRecord,
+    Texts,
+    array,
+    inner,
+    record,
+    scalar,
+    together,
+)
 
 __all__ = [
     "ExposureAttitudes",
@@ -32,6 +43,7 @@ __all__ = [
     "exposure_without_stars",
     "information_of_directions",
     "isotropic_covariance",
+    "sigma_of",
     "solved_attitudes",
 ]
 
@@ -138,11 +150,7 @@ class GroundSightings(RowRecord):
         "N, 3, 4", "change of u_i (columns) by effects on light and by heights (`groundlight.moves_by_light`)"
     )
     references: GroundReferences | None = scalar("references of the targets; None: none", default=None)
-
-    @property
-    def is_star(self) -> Bools:
-        """(N,) whether the target is a star."""
-        return np.isinf(self.range_m)
+    is_star = inner[Bools]("range_m", "(N,) whether the target is a star", of=np.isinf)
 
     def referenced(self) -> GroundReferences:
         """The references of all targets, without a name where they have none."""
@@ -360,6 +368,11 @@ def solved_attitudes(R_si: Rotation, covariance_s: Floats) -> ExposureAttitudes:
         chi2=np.zeros(K),
         dof=np.zeros(K, dtype=np.int64),
     )
+
+
+def sigma_of(covariance: Floats) -> Floats:
+    """1-sigma (N,) of parameters by their covariance (N, N)."""
+    return np.asarray(np.sqrt(np.diag(covariance)))
 
 
 def isotropic_covariance(u: Floats, sigma_rad: Floats | float) -> Floats:

@@ -14,7 +14,7 @@ from collections.abc import Iterable, Sequence
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
-from boresight.records.record import RowRecord, array, record, scalar
+from boresight.records.record import RowRecord, array, inner, record, scalar
 
 if TYPE_CHECKING:  # messages and errors are there before NumPy is
     from boresight.records.record import Bools, Floats, Ints, Texts
@@ -261,15 +261,11 @@ class Entry:
     cov_px: tuple[float, ...] = scalar("covariance of that, px²: xx, xy, yy", default=())
     rivals: tuple[Subject, ...] = scalar("of which one may be the wrong one instead", default=())
     slip: str = scalar("kind of slip in its coordinates that explains it; empty: none", default="")
+    state = inner[State]("reason.state", "what became of it")
 
     def because(self, reason: Reason, detail: str = "") -> Entry:
         """An entry of this observation in another state."""
         return dataclasses.replace(self, reason=reason, detail=detail)
-
-    @property
-    def state(self) -> State:
-        """What became of it."""
-        return self.reason.state
 
     @property
     def text(self) -> str:

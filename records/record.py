@@ -92,10 +92,13 @@ def scalar(meaning: str, **options: Any) -> Any:
 
 
 class inner(property, Generic[T]):  # declares, as `array` and `scalar` do
-    """Declare an attribute of a record that this one holds: `snr = inner[Floats]("star_list.snr", ...)`."""
+    """Declare an attribute of a record that this one holds, or what a function makes of one:
+    `snr = inner[Floats]("star_list.snr", ...)`, `matches = inner[int]("hip", "number of stars", of=len)`.
+    """
 
-    def __init__(self, place: str, meaning: str) -> None:
-        super().__init__(attrgetter(place))
+    def __init__(self, place: str, meaning: str, of: Callable[[Any], Any] | None = None) -> None:
+        held = attrgetter(place)
+        super().__init__(held if of is None else lambda record: of(held(record)))
         self.__doc__ = meaning
 
     if TYPE_CHECKING:

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.star_camera import Projection, StarCamera
-from boresight.records.record import Bools, Floats, Ints, array, record, scalar
+from boresight.records.record import Bools, Floats, Ints, array, inner, record, scalar
 from boresight.star_id.beyond_chance import LEAST_STARS, LOST_BY_CHANCE
 from boresight.star_id.common_variance import PER_PARAMETER
 from boresight.star_id.field_fit import fit_attitude_and_lens
@@ -127,11 +128,19 @@ class FieldSolution:
     mirrored: bool = scalar(
         "whether the image is a mirror image: all else holds for it with the columns reversed", default=False
     )
-
-    @property
-    def matches(self) -> int:
-        """Number of identified stars."""
-        return len(self.hip)
+    matches = inner[int]("hip", "number of identified stars", of=len)
+    ra_rad = inner[float](
+        "_ra_dec_roll_rad",
+        "right ascension of the image's centre, GCRS axes; aberration is removed if there is an observer",
+        of=itemgetter(0),
+    )
+    dec_rad = inner[float]("_ra_dec_roll_rad", "declination of the image's centre", of=itemgetter(1))
+    roll_rad = inner[float](
+        "_ra_dec_roll_rad",
+        "position angle, east of north, of the image's up direction (towards row 0) at its centre",
+        of=itemgetter(2),
+    )
+    fov_x_rad = inner[float]("camera.fov_x_rad", "angle between the middles of the left and right edges")
 
     @property
     def residual_px(self) -> Floats:
@@ -139,24 +148,8 @@ class FieldSolution:
         return self.xy_px - self.camera.pixels_from_directions(self.R_si.apply(self.u_i))
 
     @property
-    def ra_rad(self) -> float:
-        """Right ascension of the image's centre, GCRS axes; aberration is removed if there is an observer."""
-        return ra_dec_roll(self.camera, self.R_si)[0]
-
-    @property
-    def dec_rad(self) -> float:
-        """Declination of the image's centre."""
-        return ra_dec_roll(self.camera, self.R_si)[1]
-
-    @property
-    def roll_rad(self) -> float:
-        """Position angle, east of north, of the image's up direction (towards row 0) at its centre."""
-        return ra_dec_roll(self.camera, self.R_si)[2]
-
-    @property
-    def fov_x_rad(self) -> float:
-        """Angle between the middles of the left and right edges."""
-        return self.camera.fov_x_rad
+    def _ra_dec_roll_rad(self) -> tuple[float, float, float]:
+        return ra_dec_roll(self.camera, self.R_si)
 
     @property
     def pointing_sigma_rad(self) -> float:

@@ -8,6 +8,7 @@ the time here: residuals are whitened once in pixels, and the normal matrix is o
 from __future__ import annotations
 
 import math
+from operator import itemgetter
 
 import numpy as np
 from scipy.linalg.lapack import dposv, dsyev
@@ -15,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
 from boresight.geometry.attitude_estimate import GROSS, SETTLED_RAD
-from boresight.records.record import Bools, Floats, array, record, scalar
+from boresight.records.record import Bools, Floats, array, inner, record, scalar
 from boresight.star_id.beyond_chance import LEAST_STARS, MEDIAN_CHI2, NEVER_SIGMA, SELDOM_SIGMA
 from boresight.star_id.finding.background import median_of
 
@@ -48,11 +49,11 @@ class ImageAttitude:
     dof: int = scalar("degrees of freedom of chi2")
     kept: Bools = array("N", "stars that were not rejected")
     residual_px: Floats = array("N, 2", "measured minus predicted pixels, to first order")
-
-    @property
-    def cov_s(self) -> Floats:
-        """(3, 3) rad², of a small right-handed rotation about the axes of s."""
-        return self.covariance[:3, :3]
+    cov_s = inner[Floats](
+        "covariance",
+        "(3, 3) rad², of a small right-handed rotation about axes s",
+        of=itemgetter(np.s_[:3, :3]),
+    )
 
 
 def fit_image_attitude(

@@ -28,7 +28,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.star_camera import SmoothDistortion, StarCamera, term_orders
-from boresight.records.record import Bools, Floats, Ints, array, record, scalar
+from boresight.records.record import Bools, Floats, Ints, array, inner, record, scalar
 from boresight.star_id.beyond_chance import MEDIAN_CHI2, SELDOM_SIGMA
 from boresight.star_id.camera_fit import (
     PARAMETERS,
@@ -350,11 +350,7 @@ class _Trial:
     free: tuple[str, ...] = scalar("parameters")
     size_px: float = scalar("1-sigma size of the smooth distortion, px; 0 without one")
     solved: _Solved = scalar("posterior")
-
-    @property
-    def log_evidence(self) -> float:
-        """Of the model with its most probable smooth distortion."""
-        return self.solved.log_evidence
+    log_evidence = inner[float]("solved.log_evidence", "of the model with its likeliest smooth distortion")
 
     @classmethod
     def of(

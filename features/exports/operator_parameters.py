@@ -27,7 +27,8 @@ from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude_estimate import cross_matrices
 from boresight.geometry.epoch import Epoch
-from boresight.records.record import Floats, array, record, scalar
+from boresight.geometry.sightings import sigma_of
+from boresight.records.record import Floats, array, inner, record, scalar
 
 __all__ = ["LineOfSightCorrection", "fit_correction", "operator_parameters"]
 
@@ -41,15 +42,11 @@ class LineOfSightCorrection:
     scale: float = scalar("h; 0 where it was not estimated")
     covariance: Floats = array("P, P", "of the parameters, in their units; scaled by the residuals")
     residuals_rad: Floats = array("J, 3", "known minus corrected directions, frame s")
+    sigma = inner[Floats]("covariance", "1-sigma (P,) of the parameters", of=sigma_of)
 
     def rotations(self, t_s: Floats) -> Rotation:
         """Q (N,) at instants (N,)."""
         return _rotations(self.angles_rad, t_s - self.t0_s)
-
-    @property
-    def sigma(self) -> Floats:
-        """1-sigma (P,) of the parameters."""
-        return np.sqrt(np.diag(self.covariance))
 
 
 def fit_correction(

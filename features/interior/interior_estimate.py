@@ -19,7 +19,7 @@ from boresight.calib.strips import prepare_strip
 from boresight.features.interior.interior_parameters import Gauge, InteriorModel, InteriorPriors
 from boresight.geometry.line_camera import LineCamera
 from boresight.geometry.sightings import StripSightings
-from boresight.records.record import Floats, Ints, array, record, scalar
+from boresight.records.record import Floats, Ints, array, inner, record, scalar
 
 __all__ = ["InteriorEstimate", "calibrate_interior"]
 
@@ -37,11 +37,7 @@ class InteriorEstimate:
     values: Floats = array("P", "of the parameters: change of the assumed camera")
     covariance: Floats = array("P, P", "of `values`")
     camera: LineCamera = scalar("assumed camera with the parameters applied")
-
-    @property
-    def gauges(self) -> tuple[Gauge, ...]:
-        """What is zero by constraint."""
-        return self.model.gauges
+    gauges = inner[tuple[Gauge, ...]]("model.gauges", "what is zero by constraint")
 
     def map_sigma_px(self, ccd: Ints, sample: Floats) -> Floats:
         """1-sigma (J, 2) of the look directions of samples (J,) along x and y of frame c, px."""

@@ -6,6 +6,7 @@ import datetime
 import os
 from collections.abc import Iterable
 from dataclasses import replace
+from math import degrees
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -223,26 +224,16 @@ class StarSolution(SuccessfulResult):
     mirrored = inner[bool](
         "field.mirrored", "whether the image is a mirror image: all is stated for its columns reversed"
     )
-
-    @property
-    def ra_deg(self) -> float:
-        """Right ascension of the image's centre, GCRS axes, deg."""
-        return float(np.degrees(self.field.ra_rad))
-
-    @property
-    def dec_deg(self) -> float:
-        """Declination of the image's centre, GCRS axes, deg."""
-        return float(np.degrees(self.field.dec_rad))
-
-    @property
-    def roll_deg(self) -> float:
-        """Position angle of the image's up direction at its centre, east of north, deg."""
-        return float(np.degrees(self.field.roll_rad))
-
-    @property
-    def fov_deg(self) -> float:
-        """Field of view between the middles of the left and right edges, deg."""
-        return float(np.degrees(self.field.fov_x_rad))
+    ra_deg = inner[float]("field.ra_rad", "right ascension of the image's centre, GCRS axes, deg", degrees)
+    dec_deg = inner[float]("field.dec_rad", "declination of the image's centre, GCRS axes, deg", degrees)
+    roll_deg = inner[float](
+        "field.roll_rad",
+        "position angle of the image's up direction at its centre, east of north, deg",
+        degrees,
+    )
+    fov_deg = inner[float](
+        "field.fov_x_rad", "field of view between the middles of the left and right edges, deg", degrees
+    )
 
     @property
     def sigma_arcsec(self) -> tuple[float, float]:

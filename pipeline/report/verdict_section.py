@@ -11,7 +11,7 @@ from boresight.calib.verdict import Outcome
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.report.page_template import Number, number_from
 from boresight.pipeline.results.summary import kind_of, two_digits
-from boresight.records.record import record, scalar
+from boresight.records.record import inner, record, scalar
 
 __all__ = ["BlindRow", "CheckRow", "VerdictView", "verdict_view"]
 
@@ -57,16 +57,12 @@ class BlindRow:
     detectable: Number = scalar("smallest size that is found with probability 0.9")
     hidden_sigma: Number = scalar("by how much that moves theta, in its 1-sigma")
     is_unseen: bool = scalar("nothing shows it")
+    kind = inner[str]("cause", "the cause without its direction", of=kind_of)
 
     @property
     def amount(self) -> str:
         """A unit of the error in words."""
         return "all of it" if self.unit == "times" else f"1 {self.unit}"
-
-    @property
-    def kind(self) -> str:
-        """The cause without its direction."""
-        return kind_of(self.cause)
 
 
 @record(kw_only=True)

@@ -15,13 +15,14 @@ Of a sky that is cut off, the model is the mean of what the cut leaves.
 from __future__ import annotations
 
 from functools import lru_cache
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from boresight.records.record import Floats, Ints, record, scalar
+from boresight.records.record import Floats, Ints, inner, record, scalar
 from boresight.star_id.beyond_chance import NEVER_SIGMA
 from boresight.star_id.finding.cut_sky import after_cut
 from boresight.star_id.finding.windows import AT_ONCE, StarWindows
@@ -128,21 +129,9 @@ class PsfImages:
     columns: NDArray[np.float32]
     # (2, N, M) derivatives by (Cxx - Cyy) / 2 and by Cxy of the second moments; None if P is 4
     d_stretch: NDArray[np.float32] | None
-
-    @property
-    def d_x(self) -> NDArray[np.float32]:
-        """(N, M) derivative by column."""
-        return self.columns[:, 0]
-
-    @property
-    def d_y(self) -> NDArray[np.float32]:
-        """(N, M) derivative by row."""
-        return self.columns[:, 1]
-
-    @property
-    def value(self) -> NDArray[np.float32]:
-        """(N, M) unit-flux image."""
-        return self.columns[:, 2]
+    d_x = inner[NDArray[np.float32]]("columns", "(N, M) derivative by column", of=itemgetter(np.s_[:, 0]))
+    d_y = inner[NDArray[np.float32]]("columns", "(N, M) derivative by row", of=itemgetter(np.s_[:, 1]))
+    value = inner[NDArray[np.float32]]("columns", "(N, M) unit-flux image", of=itemgetter(np.s_[:, 2]))
 
 
 def images_at(psf: Psf, middles: Ints, offset: Floats, sigma: Floats, radius: int) -> PsfImages:

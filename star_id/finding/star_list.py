@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from boresight.records.record import Bools, Floats, Ints, array, record, scalar
+from boresight.records.record import Bools, Floats, Ints, array, inner, record, scalar
 from boresight.star_id.beyond_chance import CLIP_SIGMA, FEW_STARS, LEAST_STARS, SELDOM_SIGMA
 from boresight.star_id.centroids import Centroids
 from boresight.star_id.finding.background import Background, estimate_background
@@ -91,6 +91,7 @@ class StarList:
     hot_pixels: int = scalar("detections rejected as hot pixels")
     misshapen_px: Floats = array("M, 2", "detections rejected as cosmic rays, trails, arms of blooms, text")
     saturation_dn: float = scalar("raw value from which a pixel counts as saturated; infinite if none does")
+    misshapen = inner[int]("misshapen_px", "number of detections rejected for their shape", of=len)
 
     @classmethod
     def of_centroids(cls, stars: Centroids, flux_dn: Floats, size: tuple[int, int]) -> StarList:
@@ -113,11 +114,6 @@ class StarList:
             misshapen_px=np.empty((0, 2)),
             saturation_dn=np.inf,
         )
-
-    @property
-    def misshapen(self) -> int:
-        """Number of detections rejected for their shape."""
-        return len(self.misshapen_px)
 
     @property
     def centroids(self) -> Centroids:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from boresight.records.record import Bools, Floats, Ints, array, record, scalar
+from boresight.records.record import Bools, Floats, Ints, array, inner, record, scalar
 from boresight.star_id.beyond_chance import (
     CLIP_SIGMA,
     FEW_STARS,
@@ -62,11 +62,7 @@ class WidthFits:
     good: Bools = array(
         "N", "whether a fit has come to rest near its pixel and leaves no more than a star does"
     )
-
-    @property
-    def stars(self) -> int:
-        """Number of good fits."""
-        return int(np.count_nonzero(self.good))
+    stars = inner[int]("good", "number of good fits", of=np.count_nonzero)
 
 
 def fit_widths(

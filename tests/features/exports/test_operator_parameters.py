@@ -5,20 +5,28 @@ import json
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from test_refining import T0, sightings
 
 from boresight.features.exports.operator_parameters import fit_correction, operator_parameters
 from boresight.geometry.epoch import Epoch
 
 EPOCH = Epoch.from_utc("2020-08-16T12:02:20")
 R_CS0 = Rotation.from_euler("YXZ", [0.3, -0.2, 0.5])
+T0 = 12.625
 
 
 @pytest.fixture(scope="module")
 def correction():
     """A correction of known size, looks and instants, and where the corrected looks are."""
-    v_s, u_c, t = sightings(np.random.default_rng(9), n=60, sigma=1e-8, R_cs0=R_CS0)
+    rng = np.random.default_rng(9)
+    n = 60
+    u_c = np.column_stack([rng.uniform(-0.02, 0.02, n), rng.uniform(-0.18, 0.18, n), np.ones(n)])
+    u_c /= np.linalg.norm(u_c, axis=1, keepdims=True)
+    t = T0 + rng.uniform(-12.0, 12.0, n)
+    turn = Rotation.from_rotvec(np.outer(1.0 + 0.02 * (t - T0), [3e-4, -2e-4, 5e-4]))
+    v_s = turn.apply(R_CS0.inv().apply(u_c) * [1.0, 1.0, 1.0003])
+    v_s /= np.linalg.norm(v_s, axis=1, keepdims=True)
     found = fit_correction(v_s, u_c, t, R_CS0, T0)
+    assert np.abs(found.residuals_rad).max() < 1e-7  # rad: products of small angles are not linear in time
     return found, u_c, t, v_s - found.residuals_rad
 
 

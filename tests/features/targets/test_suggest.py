@@ -29,22 +29,33 @@ def test_lakes_and_repeated_patterns_are_left_out(invented: NDArray):
         assert target.sigma_px < 0.02
 
 
-def test_best_comes_first_where_there_are_data_with_the_map_coordinates_of_its_pixel(invented: NDArray):
-    a, b, c, d, e, f = turned = (0.4, 0.3, 4000.0, 0.35, -0.45, 9000.0)
-    valid = np.ones(invented.shape, dtype=bool)
-    valid[:, 700:] = False
-    found = suggest_targets(invented, turned, valid, size_px=96, most=10)
-    assert len(found) == 10 and max(target.column for target in found) <= 700 - 48  # a half of a chip
+def test_best_comes_first_and_map_coordinates_are_those_of_the_pixel(invented: NDArray):
+    found = suggest_targets(invented, TRANSFORM, np.ones(invented.shape, dtype=bool), size_px=96, most=10)
+    assert len(found) == 10
     scores = [target.score for target in found]
     assert scores == sorted(scores, reverse=True)
-    for one in found:
-        u, v = one.column + 0.5, one.row + 0.5
-        assert (one.x, one.y) == pytest.approx((a * u + b * v + c, d * u + e * v + f), abs=1e-9)
+    best = found[0]
+    assert best.x == pytest.approx(4000.0 + 0.5 * (best.column + 0.5), abs=1e-9)
+    assert best.y == pytest.approx(9000.0 - 0.5 * (best.row + 0.5), abs=1e-9)
+
+
+def test_places_without_data_are_left_out(invented: NDArray):
+    valid = np.ones(invented.shape, dtype=bool)
+    valid[:, 700:] = False
+    found = suggest_targets(invented, TRANSFORM, valid, size_px=96, most=10)
+    assert max(target.column for target in found) <= 700 - 48  # a chip is [column - 48, column + 48)
 
 
 def test_image_of_less_than_two_chips_is_refused(invented: NDArray):
     with pytest.raises(ValueError, match="smaller than two chips"):
         suggest_targets(invented[:100, :300], TRANSFORM, np.ones((100, 300), dtype=bool), size_px=64, most=3)
+
+
+def test_map_coordinates_of_a_turned_image_are_those_of_its_transform(invented: NDArray):
+    a, b, c, d, e, f = turned = (0.4, 0.3, 4000.0, 0.35, -0.45, 9000.0)
+    best = suggest_targets(invented, turned, np.ones(invented.shape, dtype=bool), size_px=96, most=3)[0]
+    u, v = best.column + 0.5, best.row + 0.5
+    assert (best.x, best.y) == pytest.approx((a * u + b * v + c, d * u + e * v + f), abs=1e-9)
 
 
 def test_a_place_that_occurs_twice_is_worth_nothing_and_a_lone_one_its_weight():

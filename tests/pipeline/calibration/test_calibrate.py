@@ -3,7 +3,6 @@ exit status where the data contradict themselves.
 """
 
 import json
-import re
 import shutil
 from pathlib import Path
 
@@ -22,10 +21,10 @@ from boresight.geometry.geodesy import geodetic_from_ecef, unit_vectors
 from boresight.geometry.groundlight import LightEffects, apparent_ground_directions
 from boresight.geometry.installation import theta_between
 from boresight.pipeline.calibration.calibrate import calibrate_dump
+from boresight.pipeline.errors import DataNotSufficientError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.results.folder import store_of
 from boresight.pipeline.results.reading import read_saved_result
-from boresight.pipeline.results.status import run_status, status_lines
 from boresight.pipeline.results.validate import validation_of
 from boresight.pipeline.results.writing import write_result
 from boresight.pipeline.run.executor import InOrder
@@ -149,7 +148,7 @@ def test_run_started_again_makes_nothing_twice_and_gives_the_same_whatever_truth
     assert (tmp_path / "installation.json").read_bytes() == expected
 
 
-def test_bad_images_are_left_out_with_reasons_and_only_they_are_made_again(one_strip, finished, tmp_path):
+def test_bad_exposure_is_left_out_with_its_reason_and_only_it_is_made_again(one_strip, finished, tmp_path):
     shutil.copytree(finished[1] / "work", tmp_path / "work")  # of the same strip
     names = sorted(path.name for path in (one_strip / "exposures").iterdir())[3:12:3]
     for name in names:
@@ -158,27 +157,14 @@ def test_bad_images_are_left_out_with_reasons_and_only_they_are_made_again(one_s
     black = np.random.default_rng(5).normal(12, 2, (768, 1024)).clip(0, 255).astype(np.uint8)
     cv2.imwrite(str(one_strip / "exposures" / names[1]), black)
     cv2.imwrite(str(one_strip / "exposures" / names[2]), black[:100])
-    chips = sorted((one_strip / "chips").iterdir())[1:6:4]
-    for chip in chips:
-        chip.unlink()
     after = calibrate_dump(open_dump(one_strip), Settings(), store_of(tmp_path), InOrder())
-    kinds = ("exposure", "ccd", "strip", "chip")
-    left_out = {o.file: o.text for o in after.omissions if o.subject.kind in kinds}
-    files, gone = [f"exposures/{name}" for name in names], [f"chips/{chip.name}" for chip in chips]
-    assert set(left_out) == {*files, *gone}
-    assert left_out[files[0]].startswith(f"{files[0]}: byte 20000: found end of file, expected the rest of")
-    assert "stars" in left_out[files[1]] and "needed" in left_out[files[1]]
-    assert "image size: found 1024 x 100 px, expected 1024 x 768 px" in left_out[files[2]]
-    assert all(left_out[one] == f"{one}: file: found no such file, expected an image" for one in gone)
+    left_out = {o.subject.name: o.text for o in after.omissions if o.subject.kind == "exposure"}
+    ids = [name.removesuffix(".png") for name in names]
+    assert "byte 20000: found end of file, expected the rest of the PNG chunk" in left_out[ids[0]]
+    assert "stars" in left_out[ids[1]] and "needed" in left_out[ids[1]]
+    assert "image size: found 1024 x 100 px, expected 1024 x 768 px" in left_out[ids[2]]
     assert len(after.stars) == 14 - 3
     assert after.n_computed <= 3 + 2  # the three exposures, and both matchings of the strip they belong to
-    write_result(tmp_path, after, Settings())
-    listed = pq.read_table(tmp_path / "sightings/ledger.parquet").to_pylist()
-    assert {row["file"]: row["reason"] for row in listed if row["file"]} == left_out
-    status = "\n".join(status_lines(run_status(tmp_path)))
-    assert re.search(r"exposures +14 done, 3 not used", status), status
-    assert re.search(r"targets, round 2 +1 done, [0-9]+ not used", status), status
-    assert status.count("file: found no such file, expected an image") >= 2
 
 
 def test_fault_in_one_exposure_is_that_exposures_own(one_strip, finished, tmp_path, monkeypatch):
@@ -232,3 +218,14 @@ def test_targets_listed_under_several_ids_are_counted_once(one_strip, finished, 
     # The same sightings: what is given twice makes no matrix more certain, nor another one.
     assert np.array_equal(content["covariance_rad2"], once["covariance_rad2"])
     assert np.array_equal(content["R_cs"], once["R_cs"])
+
+
+def test_strip_without_targets_is_named_and_the_lack_is_told(one_strip: Path, tmp_path: Path) -> None:
+    lines = (one_strip / "targets.csv").read_text().splitlines()
+    far = lines[1].split(",")
+    far[1], far[2] = "-60.0", "10.0"
+    (one_strip / "targets.csv").write_text("\n".join([lines[0], ",".join(far)]) + "\n")
+    with pytest.raises(
+        DataNotSufficientError, match=r"14 exposures identified, 0 targets matched in 1 strips"
+    ):
+        calibrate_dump(open_dump(one_strip), Settings(), store_of(tmp_path), InOrder())

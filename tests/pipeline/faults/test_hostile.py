@@ -21,6 +21,7 @@ from boresight.pipeline.console.messages import say, tell
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
 from boresight.pipeline.files.images.rasters import read_grid
+from boresight.pipeline.files.text_files import read_text
 
 NUMBER = re.compile(r"(?<![\w.-])[+-]?\d+\.?\d*(?:[eE][+-]?\d+)?(?![\w.])")
 TEXTS = ("dump.toml", "star_camera.toml", "remote_camera.toml", "installation.toml")
@@ -181,3 +182,8 @@ def test_raster_with_values_beyond_single_precision_has_no_value_there(handmade:
     write_raster(path, values, crs="EPSG:32648", transform=Affine(1, 0, 0, 0, -1, 0))
     grid = read_grid(path, "grid.tif", max_pixels=100)
     assert grid.values[0, 0] == 5.0 and np.isnan(grid.values).sum() == 15
+
+
+def test_text_that_is_a_folder_is_named(handmade: Path) -> None:
+    with pytest.raises(RawDataError, match="exposures: file: found a folder, expected a readable file"):
+        read_text(handmade / "exposures", "exposures")

@@ -83,6 +83,8 @@ def test_image_that_cannot_be_read_is_named(kind: str, damage, says: str, tmp_pa
 @pytest.mark.parametrize(
     ("kind", "shape", "dtype", "says"),
     [
+        ("exposure", (47, 64), "uint8", "image size: found 64 x 47 px, expected 64 x 48 px"),
+        ("exposure", (48, 64), "uint16", "bit depth: found 16 bits, expected 8 bits"),
         ("exposure", (48, 64), "float32", "bit depth: found float32, expected uint8 or uint16"),
         ("strip", (200, 65), "uint8", "image size: found 65 x 200 px, expected 64 x 200 px"),
         ("strip", (200, 64), "uint16", "bit depth: found 16 bits, expected 8 bits"),

@@ -217,6 +217,13 @@ def test_what_says_the_same_is_read_the_same(form: str, tmp_path: Path) -> None:
     assert np.array_equal(found.covariance_s, plain.covariance_s)
 
 
+def test_variances_are_those_of_the_head(tmp_path: Path) -> None:
+    rows = read(tmp_path, MESSAGE + COVARIANCE)
+    assert rows.covariance_s is not None
+    expected = np.diag(np.radians(np.sqrt([1e-8, 2e-8, 4e-6])) ** 2)
+    assert rows.covariance_s[1] == pytest.approx(expected, rel=1e-12)
+
+
 def test_day_that_a_year_has_not_is_named_by_its_line(tmp_path: Path) -> None:
     says = r"line 22, time: found 2025-379T02:31:00\.5, expected a day of that year"
     with pytest.raises(RawDataError, match=says):
