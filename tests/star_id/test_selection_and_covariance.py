@@ -292,3 +292,9 @@ def test_coma_and_width_are_about_the_middle_between_the_outermost_pixels() -> N
     assert fans is not None
     outwards = np.array([[-3.0, -2.0], [3.0, -2.0], [-3.0, 2.0], [3.0, 2.0]]) / np.sqrt(13.0)
     np.testing.assert_allclose(fans, 2.0 * outwards, rtol=1e-12)
+
+
+def test_the_width_of_the_psf_grows_with_the_square_of_the_distance_from_the_middle():
+    psf = Psf(1.0, 1.5, (0.0, 0.0), 201, 101)
+    middle, corner, halfway = [100.0, 50.0], [-0.5, -0.5], [49.75, 24.75]
+    assert psf.sigma_at(np.array([middle, corner, halfway])) == pytest.approx([1.0, 1.5, 1.125], abs=1e-12)

@@ -286,3 +286,15 @@ def test_encoding_is_the_one_that_the_first_line_states(tmp_path, encoding):
     (tmp_path / "b.xml").write_bytes(b'<?xml version="1.0" encoding="none-such"?><a/>')
     with pytest.raises(RawDataError, match="XML: found unknown encoding: none-such"):
         places(tmp_path / "b.xml")
+
+
+@needs_real_data
+@pytest.mark.parametrize("options", VERSIONS_2, ids=["polynomials", "other column", "list, microseconds"])
+def test_real_strip_in_version_2_lies_where_its_operator_puts_it(tmp_path, operator_grid, options):
+    (tmp_path / "v2.xml").write_text(as_version_2(DIMAP.read_text(), **options))
+    sample, line, _, _ = operator_grid
+    strip = read(tmp_path / "v2.xml")
+    off = strip.pushbroom.ground_points(0, sample, line, ConstantHeight(0.0))
+    same = read(DIMAP).pushbroom
+    expected = same.ground_points(0, sample, line, ConstantHeight(0.0))
+    assert np.linalg.norm(off - expected, axis=1).max() < 2e-3  # m
