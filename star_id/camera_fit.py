@@ -105,7 +105,7 @@ def fit_camera(
     prior_weight = np.array([unit / prior.get(name, np.inf) for name, unit in zip(free, units)]) ** 2
     first = _vector(expected or camera, camera)[columns]
     images = _Images.of(stars)
-    theta, R, keep = _vector(camera), rotations, np.ones(len(stars.u_i), dtype=bool)
+    theta, R, keep = _vector(camera), rotations, np.ones(stars.u_i.shape[:1], dtype=bool)
     common, settled, weights = common_px2 or 0.0, True, images.weights(common_px2 or 0.0)
     for k in range(12):
         pull = prior_weight * (first - theta[columns])
