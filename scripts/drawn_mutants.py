@@ -18,7 +18,17 @@ from pathlib import Path
 
 __all__ = ["Change", "changes_of", "drawn_changes", "nearest_tests"]
 
-ROOMS = ("records", "geometry", "star_id", "gct_match", "calib", "simulator", "pipeline", "features")
+ROOMS = (
+    "boresight",
+    "records",
+    "geometry",
+    "star_id",
+    "gct_match",
+    "calib",
+    "simulator",
+    "pipeline",
+    "features",
+)
 WITHOUT_NUMBERS = ("pipeline/console", "pipeline/report/templates")
 MOST_TESTS = 4  # files
 LOOKS = frozenset(
