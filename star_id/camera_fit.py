@@ -118,7 +118,7 @@ def fit_camera(
         R = Rotation.from_rotvec(step.change[:, -3:]) * R
         if k < 2 and step.in_sigmas > 1.0:  # from a nominal camera all stars look like outliers
             continue
-        square = step.residual.real**2 + step.residual.imag**2
+        square = step.squares(images)
         if common_px2 is not None:
             used, before = keep & step.in_front, common
             common = common_variance(square[used], step.leverage(images)[used], images.own[used], common)
@@ -132,6 +132,7 @@ def fit_camera(
             break
         keep = inlier
     own, other = weights
+    square = step.residual.real**2 + step.residual.imag**2
     total = float((own * square + (other.conj() * step.residual**2).real) @ keep)
     dof = 2 * int(keep.sum()) - len(free) - 3 * len(stars.t_s)
     variance_factor = max(1.0, total / max(dof, 1))
@@ -242,6 +243,12 @@ class _Step:
     def in_sigmas(self) -> float:
         """The largest component of the step, in units of its standard error."""
         return float((np.abs(self.change) / np.sqrt(np.einsum("kpp->kp", self.covariance))).max())
+
+    def squares(self, images: _Images) -> Floats:
+        """(N,) squared residuals that are left after it, to first order."""
+        moved = [change @ self.design[:, part] for change, part in zip(self.change, images.parts)]
+        left = self.residual - np.concatenate(moved)
+        return left.real**2 + left.imag**2
 
     def leverage(self, images: _Images) -> Floats:
         """(N,) trace of each star's part in the fit."""
