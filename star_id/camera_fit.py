@@ -132,7 +132,7 @@ def fit_camera(
             break
         keep = inlier
     own, other = weights
-    square = step.residual.real**2 + step.residual.imag**2
+    square = np.abs(step.residual) ** 2
     total = float((own * square + (other.conj() * step.residual**2).real) @ keep)
     dof = 2 * int(keep.sum()) - len(free) - 3 * len(stars.t_s)
     variance_factor = max(1.0, total / max(dof, 1))
@@ -234,15 +234,11 @@ class _Step:
 
     change: Floats  # (K, F + 3) of the camera, the same for each image, and of its rotation
     covariance: Floats  # (K, F + 3, F + 3) of the same
+    in_sigmas: float  # the largest component of the change, in units of its standard error
     residual: Complex  # (N,)
     in_front: Bools  # (N,) a step may carry a star at 90 degrees from the axis behind the camera
     design: Complex  # (F + 3, N) derivatives of the pixels by the camera and by the rotation of the image
     weighted: Complex  # (F + 3, N) the same, times the weights
-
-    @property
-    def in_sigmas(self) -> float:
-        """The largest component of the step, in units of its standard error."""
-        return float((np.abs(self.change) / np.sqrt(np.einsum("kpp->kp", self.covariance))).max())
 
     def squares(self, images: _Images) -> Floats:
         """(N,) squared residuals that are left after it, to first order."""
@@ -288,7 +284,8 @@ def _step(
     change[:, F:] += (held @ by_rotation[:, :, -1:])[:, :, 0]
     covariance = free @ cov_camera @ free.transpose(0, 2, 1)
     covariance[:, F:, F:] += held
-    return _Step(change, covariance, X[-1], in_front, X[:-1], WX[:-1])
+    in_sigmas = float((np.abs(change) / np.sqrt(np.einsum("kpp->kp", covariance))).max())
+    return _Step(change, covariance, in_sigmas, X[-1], in_front, X[:-1], WX[:-1])
 
 
 @record

@@ -73,7 +73,7 @@ def fit_attitude_and_lens(
     stretch_px = stretch_size(equations, fit.common_px2)
     for _ in range(2 if stretch_px else 0):  # each to places without the stretch seen before
         moved_px = equations.stretched(stretch_px).displaced_px(xy_px, fit.common_px2)
-        fit, equations = _fit(fit.camera, fit.rotations[0], xy_px, cov_px, u_i, expected, moved_px)
+        fit, equations = _fit(camera, R_si, xy_px, cov_px, u_i, expected, moved_px)
     return LensFit(fit.rotations[0], lens_errors(equations, fit.common_px2, stretch_px))
 
 
