@@ -36,12 +36,12 @@ class Given(NamedTuple):
     solution: bs.StarSolution  # identified with the dump's camera
     dump: Path  # of one strip
     dumps: list[Path]  # two of one strip
-    result: bs.Calibration  # of `dump`, read back
+    result: bs.Calibration | None  # of `dump`, once it is calibrated
     arrays: dict[str, Any]  # arguments of `dump_from_arrays`: the strip of `dump`
     out: Path
 
 
-def given_of(mini: Path, dumps: list[Path], result: bs.Calibration, out: Path) -> Given:
+def given_of(mini: Path, dumps: list[Path], out: Path) -> Given:
     image = mini / "exposures" / "e0001.png"
     with rasterio.open(image) as file:
         pixels = file.read(1)
@@ -50,7 +50,7 @@ def given_of(mini: Path, dumps: list[Path], result: bs.Calibration, out: Path) -
     assert solution
     rgb = np.stack([pixels] * 3, axis=2)
     arrays = arrays_of(mini)
-    return Given(mini, image, pixels, rgb, stars, solution, dumps[0], dumps, result, arrays, out)
+    return Given(mini, image, pixels, rgb, stars, solution, dumps[0], dumps, None, arrays, out)
 
 
 def arrays_of(mini: Path) -> dict[str, object]:
@@ -177,9 +177,10 @@ def look_into_a_dump(given: Given) -> None:
     assert len(repr(dump).splitlines()) <= 25 and len(dump.strips) == 1
 
 
-def calibrate_a_dump_into_a_folder(given: Given) -> None:
+def calibrate_a_dump_into_a_folder(given: Given) -> bs.Calibration:
     result = bs.calibrate(given.dump, out=given.out / "result")
     assert result.verdict == "consistent" and result.folder == given.out / "result"
+    return result
 
 
 def use_some_strips_only_and_compare_with_a_simulated_truth(given: Given) -> None:
@@ -259,12 +260,11 @@ TASKS = [one for one in list(globals().values()) if getattr(one, "__annotations_
 
 def main() -> None:
     mini, may, june, out = map(Path, sys.argv[1:])
-    made = bs.calibrate(may, out=out / "made")
-    given = given_of(mini, [may, june], made, out)
+    given = given_of(mini, [may, june], out)
     print(bs.__file__)
     for task in TASKS:
         try:
-            task(given)
+            given = given._replace(result=task(given) or given.result)
             print(task.__name__)
         except Exception as error:
             traceback.print_exc()
