@@ -81,6 +81,7 @@ def drawn_changes(root: Path, seed: int, count: int, room: str = "") -> list[Cha
     return chosen
 
 
+@cache
 def changes_of(source: str, file: str) -> list[Change]:
     """All changes that a module allows; each leaves a module that can be parsed."""
     begins, lines = [0], source.splitlines(keepends=True)
