@@ -35,7 +35,8 @@ def test_an_overview_of_a_slope_is_the_slope(lines: int, tile: int, banded: bool
     assert (along > across) == banded and (not banded or line == 0.5 * (BAND_LINES - 1))
     i, j = np.indices(found.means.shape)
     # means of integers are rounded once for each halving of the blocks' sides, 4 at most
-    assert found.means == approx(10 * (line + along * i) + 30 * (sample + across * j), abs=0.5 * 4)
+    slope = 10 * (line + along * i) + 30 * (sample + across * j)
+    np.testing.assert_allclose(found.means, slope, rtol=0.0, atol=0.5 * 4)
 
 
 def test_residuals_in_metres_are_the_way_on_the_ground_of_the_rotated_look_direction(finished):
