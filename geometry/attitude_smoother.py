@@ -21,7 +21,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import block_diag, cho_solve_banded, cholesky_banded
-from scipy.linalg.lapack import dpstrf
+from scipy.linalg.lapack import dpstrf, dtbtrs
 from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
@@ -203,24 +203,36 @@ class _Equations:
         of_motion = np.ascontiguousarray(_banded(*moving)[:, :, :MOTION])
         return cls(nodes, _banded(*fixed), of_motion, float(size), len(dt))
 
-    def solved(self, q: Floats) -> tuple[Floats, Floats, Floats, float]:
+    def solved(self, q: Floats) -> tuple[Floats, Floats, Floats]:
         """For densities (3,): lower Cholesky factor, banded (2 D, N D); states (N, D, 1 + 3 H) by rows and
-        constants; what is left of the sums of squares, (1 + 3 H, 1 + 3 H); and the logarithm of the
-        likelihood, the constants unknown.
+        constants; and what is left of the sums of squares, (1 + 3 H, 1 + 3 H).
         """
-        N, D, m = self.nodes.by_rows.shape
-        band = self.fixed.copy()
-        band[:, :, :MOTION] += self.moving / np.tile(q, ORDER)
-        factor = cholesky_banded(band.reshape(2 * D, N * D), overwrite_ab=True, lower=True)
-        right = self.nodes.by_rows.reshape(N * D, m)
+        factor, right = self._factor(q), self._right
         states = np.asarray(cho_solve_banded((factor, True), right))
         left = self.nodes.squares - right.T @ states
-        left = 0.5 * (left + left.T)
-        known = left[1:, 1:] + np.eye(m - 1) / DIFFUSE_RAD**2
+        return factor, states.reshape(self.nodes.by_rows.shape), 0.5 * (left + left.T)
+
+    def log_likelihood(self, q: Floats) -> float:
+        """Logarithm of the likelihood for densities (3,), the constants unknown."""
+        factor = self._factor(q)
+        told, _ = dtbtrs(factor, self._right, uplo="L")
+        left = self.nodes.squares - told.T @ told
+        known = left[1:, 1:] + np.eye(len(left) - 1) / DIFFUSE_RAD**2
         chi2 = left[0, 0] - left[0, 1:] @ np.linalg.solve(known, left[1:, 0])
         of_prior = self.size - ORDER * self.steps * np.log(q).sum()
         size = 2.0 * np.log(factor[0]).sum() - of_prior + np.linalg.slogdet(known)[1]
-        return np.asarray(factor), states.reshape(N, D, m), left, -0.5 * float(size + chi2)
+        return -0.5 * float(size + chi2)
+
+    def _factor(self, q: Floats) -> Floats:
+        N, D, _ = self.nodes.by_rows.shape
+        band = self.fixed.copy()
+        band[:, :, :MOTION] += self.moving / np.tile(q, ORDER)
+        return np.asarray(cholesky_banded(band.reshape(2 * D, N * D), overwrite_ab=True, lower=True))
+
+    @property
+    def _right(self) -> Floats:
+        """Right-hand sides (N D, 1 + 3 H)."""
+        return self.nodes.by_rows.reshape(-1, self.nodes.by_rows.shape[2])
 
 
 # Of the motion over one second, q being 1: covariance of the states given those before, and its inverse.
@@ -269,7 +281,7 @@ def most_likely_motion(
 
     def posterior(q: Floats) -> float:
         away = np.log(q / stated) / SPREAD if stated else np.zeros(3)
-        return equations.solved(q)[3] - 0.5 * float(away @ away)
+        return equations.log_likelihood(q) - 0.5 * float(away @ away)
 
     scale, every = nodes.white2 * nodes.step_s ** (1 - 2 * ORDER), np.arange(3)
     alike = scale / WINDOWS ** (2 * ORDER)
@@ -317,7 +329,7 @@ class SmoothedAttitude:
         """By the rows of H heads, the first with at least one, and of a gyro; `q` (3,) as above."""
         middle = heads[0].R_so[len(heads[0].t_s) // 2]
         nodes = _Nodes.of(heads, middle, gyro)
-        factor, states, left, _ = _Equations.of(nodes).solved(q)
+        factor, states, left = _Equations.of(nodes).solved(q)
         N, D, _ = states.shape
         L, below = _blocks(factor, N, D)
         back = -np.linalg.solve(np.swapaxes(L[:-1], 1, 2), np.swapaxes(below, 1, 2))
