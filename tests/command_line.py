@@ -1,22 +1,20 @@
 """The program with all its commands, for tests that call it within their process."""
 
 import sys
-from functools import cache
 
 import pytest
-from click.testing import Result
-from typer import testing
-from typer.testing import CliRunner
+from click.testing import CliRunner, Result
+from typer.main import get_command
 
 from boresight.console import command_line, run_command_line
 
 app = command_line()
-testing._get_command = cache(testing._get_command)  # else every run makes all commands anew, for 20 ms
+PROGRAM = get_command(app)  # made once; Typer's own runner makes all commands anew, in 20 ms
 
 
-def invoked(*words: object) -> Result:
-    """What the program does with these words."""
-    return CliRunner().invoke(app, [str(word) for word in words])
+def invoked(*words: object, given: str | None = None) -> Result:
+    """What the program does with these words, and with what is `given` to it."""
+    return CliRunner().invoke(PROGRAM, [str(word) for word in words], input=given)
 
 
 def ran(*words: object, status: int = 0) -> Result:

@@ -17,10 +17,10 @@ from pathlib import Path
 
 import pytest
 from captured import wide_rows
+from click.testing import CliRunner, Result
 from fixture_strips import strip_of_fixture
 from handmade import write_handmade_dump
 from outside import DEMO, ROOT, run
-from typer.testing import CliRunner, Result
 
 IN_MEMORY = Path("/dev/shm")
 ROOM_BYTES = 4 * 2**30  # some four times what a run of all tests writes

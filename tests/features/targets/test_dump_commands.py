@@ -6,9 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import app, invoked
+from command_line import invoked
 from edits import replaced
-from typer.testing import CliRunner
 
 from boresight.features.targets.dump_check import DumpCheck, TargetCheck, _of_cameras
 from boresight.pipeline.errors import RawDataError
@@ -19,7 +18,7 @@ from boresight.pipeline.files.text_files import read_toml
 
 
 def run(*arguments: object, given: str | None = None) -> tuple[int, str]:
-    done = CliRunner().invoke(app, [str(argument) for argument in arguments], input=given)
+    done = invoked(*arguments, given=given)
     return done.exit_code, done.output
 
 
