@@ -13,6 +13,8 @@ from pathlib import Path
 
 __all__ = ["LineTests"]
 
+CONSTANTS = "tests/test_recorded_constants.py::test_constants_are_the_recorded_ones[{}]"  # by room
+
 
 @dataclass(frozen=True)
 class LineTests:
@@ -31,7 +33,8 @@ class LineTests:
 
     def of(self, file: str, start: int, most_cpu_s: float) -> list[str]:
         """Tests that run the statement at a character of a file, as many as fit a time: records first, those
-        of its room next, the quickest first. A statement that is run on import has all that run its file.
+        of its room next, the quickest first. A statement that is run on import has all that run its file,
+        and the record of constants.
         """
         source = (self.root / file).read_text(encoding="utf-8")
         first, last = _statement(source, start)
@@ -40,19 +43,24 @@ class LineTests:
         former = self._former_lines(file, source)
         for line in range(first, last + 1):
             found.update(known.get(str(former.get(line)), ()))
-        if not found and _is_of_the_module(source, start):
+        of_module = _is_of_the_module(source, start)
+        if not found and of_module:
             found.update(test for tests in known.values() for test in tests)
+        found |= {CONSTANTS.format(file.partition("/")[0])} if of_module else set()
         places = (file.partition("/")[0], file.rpartition("/")[0])  # tests of the same room or folder first
         by_place = {test: not test.startswith(tuple(f"tests/{place}/" for place in places)) for test in found}
-        order = sorted(found, key=lambda one: ("recorded" not in one, by_place[one], self.cpu_s[one], one))
+        order = sorted(
+            found, key=lambda one: ("recorded" not in one, by_place[one], self.cpu_s.get(one, 0.0), one)
+        )
         return self._affordable(order, most_cpu_s)
 
     def _affordable(self, tests: list[str], most_cpu_s: float) -> list[str]:
         """The first of some tests, as many as a time allows, but one at least."""
         taken, chosen = 0.0, []
         for test in tests:
-            if not chosen or taken + self.cpu_s[test] <= most_cpu_s:
-                taken += self.cpu_s[test]
+            cpu_s = self.cpu_s.get(test, 0.0)
+            if not chosen or taken + cpu_s <= most_cpu_s:
+                taken += cpu_s
                 chosen.append(test)
         return chosen
 
