@@ -30,6 +30,7 @@ from boresight.pipeline.stages.head import Basis
 from boresight.pipeline.stages.strip import MatchedTargets, StripTask, compass, misses
 from boresight.records.ledger import Entry, Kind, Reason, Subject, count_words, list_words
 from boresight.records.record import Floats, record, scalar
+from boresight.star_id.beyond_chance import MAD_SIGMA
 
 __all__ = [
     "NOTHING",
@@ -49,6 +50,9 @@ __all__ = [
 FEWEST = 3  # targets that make a pattern
 SMALLEST_HEIGHT_M = 5.0  # systematic difference of heights that is reported
 SINGLE_HEIGHT_M = 30.0  # ... of one target from the others: slopes and trees stay below
+CLEAR_SIGMAS = 3.0  # of what was compared, from which a difference of heights or tables is reported
+SINGLE_SIGMAS = 6.0  # ... of one target from the others
+AS_GEOID = 0.2  # of its height, within which a difference is that of the geoid
 ALIKE = 0.1  # of their distance, by which targets may be apart that lie off their chips alike
 MOST_CHIPS = 256  # that are opened for it
 # Of the maps from chips to strips: fewest of one source that are compared; scatter from chip to chip, 0.001
@@ -314,7 +318,7 @@ def _of_maps(kind: ChipMap, item: str, both: Floats) -> Finding | None:
     if (n := len(both)) < FEWEST_MAPS:
         return None
     size, (one, other) = float(np.median(both.mean(axis=1))), np.median(both, axis=0).tolist()
-    sigma = 1.4826 * _map_scatter(both) * float(np.sqrt(0.5 * np.pi / n))  # of the median
+    sigma = MAD_SIGMA * _map_scatter(both) * float(np.sqrt(0.5 * np.pi / n))  # of the median
     if abs(size) < max(SMALLEST_MAP, MAP_SIGMAS * sigma) or min(one / size, other / size) < 0.5:
         return None
     words = kind.text.format(abs(size) / kind.si, sigma / kind.si, "large" if size > 0.0 else "small")
@@ -385,12 +389,12 @@ def heights(
     on_model = known & (np.abs(above_m) < SINGLE_HEIGHT_M)
     right = above_m[on_model if 2 * on_model.sum() >= known.sum() else known]  # half of them may be off
     middle = float(np.median(right))
-    scatter = 1.4826 * float(np.median(np.abs(right - middle)))
-    if abs(middle) >= max(SMALLEST_HEIGHT_M, 3.0 * scatter / np.sqrt(known.sum())):
+    scatter = MAD_SIGMA * float(np.median(np.abs(right - middle)))
+    if abs(middle) >= max(SMALLEST_HEIGHT_M, CLEAR_SIGMAS * scatter / np.sqrt(known.sum())):
         n, size = int(known.sum()), f"{middle:+.1f} m (median)"
         text = f"{n} targets differ from the terrain model by {size}: check height_m."
         cause, item = "heights of targets or terrain", "all targets, or the terrain model"
-        if abs(abs(middle) - abs(geoid := geoid_m())) < 0.2 * abs(geoid):
+        if abs(abs(middle) - abs(geoid := geoid_m())) < AS_GEOID * abs(geoid):
             cause, item = "kind of height", "all targets"
             true, stated = ("ellipsoidal", "EGM96") if middle * geoid > 0.0 else ("EGM96", "ellipsoidal")
             text = (
@@ -404,7 +408,7 @@ def heights(
         cause, item = "heights of targets or terrain", "all targets, or the terrain model"
         yield Finding(cause=cause, item=item, text=text, file="terrain, targets.csv", refutes=True)
     off = np.abs(np.where(known, above_m - middle, 0.0))
-    odd = np.flatnonzero(off > max(SINGLE_HEIGHT_M, 6.0 * scatter))
+    odd = np.flatnonzero(off > max(SINGLE_HEIGHT_M, SINGLE_SIGMAS * scatter))
     alike = len(odd) > FEWEST and np.ptp(above_m[odd]) < SINGLE_HEIGHT_M
     for group in [odd] if alike else odd[:FEWEST, None]:
         those = [names[n] for n in group.tolist()]
@@ -468,7 +472,7 @@ def earth_findings(check: EarthTableCheck, file: str, places: Collection[Target]
     A survey has errors. `places` whose 1-sigma are all 0 were computed by the mission's own model, to which
     its table belongs: its difference from the IERS series is then no fault.
     """
-    if check.difference_m > max(LARGEST_DIFFERENCE_M, 3.0 * check.sigma_m):
+    if check.difference_m > max(LARGEST_DIFFERENCE_M, CLEAR_SIGMAS * check.sigma_m):
         is_model = len(places) > 0 and not any(place.sigma_m.any() for place in places)
         belongs = "it belongs to exact places, computed with it"
         yield Finding(

@@ -460,6 +460,7 @@ def searched_alone(
 NODES = 33  # lines between which a star's way is straight
 FAINTEST = 0.95  # of the stars that were named, in order of magnitude: brighter ones are looked for
 NEAR_SIGMAS = 5.0  # of where the matrix places a star: a detection is that star, as in giving names
+BESIDE_RAD = 1e-3  # beyond the corners of the image, in which stars are looked for
 FEWEST_DISPLACED = 2  # missing stars of a strip that are looked for elsewhere on their CCDs
 FAR_PX = 100.0  # from its place, within which a missing star is looked for (set by hand)
 ALIKE_MAG = 0.5  # between the brightness of a star and of a detection that may be it
@@ -508,7 +509,7 @@ def _reach(task: SkyTask) -> float:
         task.camera.directions_from_pixels(ccd, np.array([0.0, task.camera.n_px(ccd) - 1.0]))
         for ccd in task.strip.images.ccds
     ]
-    return float(np.arccos(np.concatenate(ends)[:, 2].min())) + 1e-3
+    return float(np.arccos(np.concatenate(ends)[:, 2].min())) + BESIDE_RAD
 
 
 def as_bright_as_named(dump: Dump, named: Sequence[NamedStars]) -> SurveyedStars:

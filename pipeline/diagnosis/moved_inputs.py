@@ -34,6 +34,9 @@ __all__ = ["examined", "moved_inputs"]
 MILLI, PERCENT = 1e-3, 1e-2  # sizes of errors whose effects are computed: of a second, of its rate
 BOTH = "annual and orbital"  # parts of the aberration that a head may have removed
 KM_S = 1e3  # ... of a velocity, m/s: a kilometre a second
+USUAL_KM_S = 1e-3  # errors that a user may make: of a velocity
+USUAL_YEARS, MOST_YEARS = 25.0, 200.0  # ... of an epoch or equinox
+USUAL_PERCENT, MOST_PERCENT = 30.0, 400.0  # ... of heights
 # Axes of the orbit (`Orbit.R_oi`), and what a finding says of a positive and a negative error along each.
 AXES = (
     ("along the track", ("too large", "too small")),
@@ -203,7 +206,7 @@ def _velocity(dump: Dump, head: Head, strips: Sequence[StripSightings]) -> Itera
             file="orbit",
             field="velocity, date and frame",
             most=2.0 * float(np.linalg.norm(dump.orbit.states_i(strips[0].ground.t_s[:1])[1])) / KM_S,
-            usual=1e-3,
+            usual=USUAL_KM_S,
             directions_i=directions,
             turns_s=_turns(strips, velocity, head.line_of_sight_s) if in_attitudes else {},
         )
@@ -232,8 +235,8 @@ def _catalogue(dump: Dump, strips: Sequence[StripSightings]) -> Iterator[MovedIn
             words=("too late", "too early"),
             file=dump.star_catalogue.file,
             field=field,
-            most=200.0,
-            usual=25.0,
+            most=MOST_YEARS,
+            usual=USUAL_YEARS,
             directions_i={one.strip_id: one.ground.is_star[:, None] * move(one.ground) for one in strips},
         )
 
@@ -267,7 +270,7 @@ def _of_ground(dump: Dump, strips: Sequence[StripSightings]) -> Iterator[MovedIn
         words=("too high", "too low"),
         file=", ".join([*terrain[:1], dump.target_files]),
         field="heights (metres are expected)",
-        most=400.0,
-        usual=30.0,
+        most=MOST_PERCENT,
+        usual=USUAL_PERCENT,
         directions_i=moves[-1],
     )

@@ -48,6 +48,8 @@ ALLOWED = 6.0  # of the logarithm, by which chance makes one stretch of rows lik
 LAGS_S = np.array([1e-3, 3e-3, 0.01, 0.03, 0.1, 0.3, 1.0])  # of attitudes against a gyro, that are tried
 LEAST_UNEVEN_S = 1e-3  # rms by which instants lie off even ones, from which even ones are tried
 LEAST_SHARE = 0.25  # of rows whose instants are off
+LEAST_OFF = 0.3  # of the largest difference, from which an instant is off
+IN_ARCSEC = 600.0  # angles below are told in seconds of arc
 SHIFTS = (1, -1, 2, -2, 3, -3)  # rows by which attitudes may be shifted against their times
 TRIED = np.exp(np.linspace(-4.0, 12.0, 65))  # sizes of an excess, times the stated error
 DEFAULTS = VerdictSettings()  # limits of the verdict where none are given
@@ -404,7 +406,7 @@ def _uneven(of_head: Attitudes, parts: Sequence[Stretch]) -> tuple[Finding, floa
     for even in _even_instants(t_s, parts):
         off = np.abs(even - t_s)
         off_s = float(np.sqrt(np.mean(off**2)))
-        if off_s > LEAST_UNEVEN_S and np.mean(off > 0.3 * off.max()) > LEAST_SHARE:  # not single rows
+        if off_s > LEAST_UNEVEN_S and np.mean(off > LEAST_OFF * off.max()) > LEAST_SHARE:  # not single rows
             found.append((_likelihood(replace(of_head, t_s=even).stretches(rows)) - now, off_s))
     gain, off_s = max(found)
     if gain < _limit(of_head):
@@ -523,7 +525,7 @@ def _finding(of_head: Attitudes, rows: Sequence[int], others: Ints, what: str) -
     some = [*some, f"{len(names) - len(some)} more"] if len(some) < len(names) else some
     listed = " and ".join(part for part in (", ".join(some[:-1]), some[-1]) if part)
     file, field = (source.file, "utc") if isinstance(source, SolvedAttitudes) else ("exposures.csv", "file")
-    off = f"{off_rad / ARCSEC:.3g}″" if off_rad < 600.0 * ARCSEC else f"{np.degrees(off_rad):.2g}°"
+    off = f"{off_rad / ARCSEC:.3g}″" if off_rad < IN_ARCSEC * ARCSEC else f"{np.degrees(off_rad):.2g}°"
     return Finding(
         cause="files or times of exposures",
         item=f"exposure{'s' if len(names) > 1 else ''} {listed}",

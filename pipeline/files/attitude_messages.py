@@ -64,6 +64,7 @@ EULER = "EULER_ROT_SEQ"  # keyword of the sequence: axes as digits or letters
 _SEQUENCE = re.compile(r"([XYZ])(?!\1)([XYZ])(?!\2)[XYZ]")
 # Tolerated error of a quaternion's length, and of a matrix' elements: three decimals, as telemetry may have.
 UNIT_LENGTH = 1e-3
+SAME_INSTANT_S = 1e-6  # of an attitude and its covariance
 
 
 @record(kw_only=True)
@@ -211,7 +212,7 @@ def _with_variances(
     parts = [_numbers(block, VARIANCES, meta, file) for meta, block in stated]
     t_s = np.concatenate([one.t_s + float(one.since.tai_s - since.tai_s) for one in found])
     own_s = np.concatenate([t + float(epoch.tai_s - since.tai_s) for epoch, t, _ in parts])
-    if len(own_s) != len(t_s) or np.any(np.abs(own_s - t_s) > 1e-6):
+    if len(own_s) != len(t_s) or np.any(np.abs(own_s - t_s) > SAME_INSTANT_S):
         expected = f"one at each of {len(t_s)} attitudes{remedy}"
         raise RawDataError(file, "COV_START", f"{len(own_s)} covariances", expected)
     variance = np.concatenate([values for _, _, values in parts])

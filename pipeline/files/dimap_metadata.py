@@ -39,12 +39,15 @@ from boresight.geometry.orbit import Orbit
 from boresight.geometry.pushbroom import Pushbroom, RowClock
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import RawDataError, refusing
+from boresight.pipeline.files.orbit_file import HIGHEST_M, LOWEST_M
 from boresight.pipeline.files.xml_files import elements_of, numbers_of, read_xml, text_of, whole_of
 from boresight.records.record import Floats, record, scalar
 
 __all__ = ["DimapStrip", "model_attitudes", "operator_model", "read_dimap"]
 
 _CORNER_M = 1000.0  # the height of a corner is not stated, products round and sharpen
+_PERIOD_ALIKE = 0.01  # of the mean line period, by which the stated one may differ
+_UNIT_LENGTH = 1e-3  # by which a quaternion may be longer or shorter
 # Heights, m, between which a corner of the product may lie: no ground is lower or higher.
 _CORNER_HEIGHTS_M = (-500.0, 9000.0)
 # States at most so far apart, s, are extended by one, 1.25 steps beyond the end. Steps above 1.5 would be
@@ -221,7 +224,7 @@ def _period(root: Element, names: _Names, epoch: Epoch, height: int, file: str) 
         t_s = epoch.seconds_from_utc([_utc(text, "Time_Range", file) for text in ends])
         mean = float(t_s[1] - t_s[0]) / max(height - 1, 1)
         period = min((1e-3 * stated, 1e-6 * stated), key=lambda one: abs(one - mean))
-        if not abs(period - mean) <= 0.01 * mean:
+        if not abs(period - mean) <= _PERIOD_ALIKE * mean:
             expected = f"{1e3 * mean:.6g} ms or its microseconds, by START, END and NROWS"
             raise RawDataError(file, field, stated, expected)
     if not 0.0 < period < 1.0:
@@ -239,7 +242,7 @@ def _ephemeris(root: Element, names: _Names, epoch: Epoch, file: str) -> tuple[F
     if np.any(np.diff(t_s) <= 0.0):
         raise RawDataError(file, f"{names.point}/{time}", "times out of order", "increasing times")
     radius = np.linalg.norm(positions, axis=1)
-    if np.any((radius < 6.4e6) | (radius > 5e7)):
+    if np.any((radius < LOWEST_M) | (radius > HIGHEST_M)):
         found = f"{radius.min():.0f} m from the centre"
         raise RawDataError(file, f"{names.point}/{place}", found, "an orbit, metres")
     return t_s, positions, velocities
@@ -309,7 +312,7 @@ def _attitude_list(root: Element, orbit: Orbit, file: str) -> AttitudeTrack:
     rows = elements_of(root, _QUATERNIONS, file, 4, _MAX_ITEMS)
     quaternions = np.array([[numbers_of(row, f"Q{k}", file, 1)[0] for k in (1, 2, 3, 0)] for row in rows])
     size = np.linalg.norm(quaternions, axis=1)
-    if not np.all(np.abs(size - 1.0) < 1e-3):
+    if not np.all(np.abs(size - 1.0) < _UNIT_LENGTH):
         raise RawDataError(file, _QUATERNIONS, f"length {size[np.argmax(np.abs(size - 1.0))]:g}", "length 1")
     t_s = orbit.epoch.seconds_from_utc([_utc(text_of(row, "TIME", file), "TIME", file) for row in rows])
     inside = (t_s >= orbit.t_s[0]) & (t_s <= orbit.t_s[-1])

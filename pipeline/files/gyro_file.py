@@ -22,6 +22,7 @@ UNITS = {"rad": 1.0, "deg": np.pi / 180.0, "arcsec": ARCSEC}
 LARGEST_RATE = 1.0  # rad/s: no satellite takes images that turns faster
 FREE_RAD_S = 1e-3  # 1-sigma of a bias that is not stated: 200 arc-seconds a second
 FINE = 0.1  # of the angle random walk over a step: resolution of a gyro that states none
+GAP = 3.0  # usual steps: over longer ones nothing is summed up
 
 
 def read_gyro(path: Path, stated: GyroFile, epoch: Epoch) -> GyroRecord:
@@ -44,7 +45,7 @@ def read_gyro(path: Path, stated: GyroFile, epoch: Epoch) -> GyroRecord:
         turns *= step
     turns[0] = 0.0
     usual = float(np.median(step[1:]))
-    near = step[1:, 0] < 3.0 * usual  # over gaps nothing is summed up
+    near = step[1:, 0] < GAP * usual  # over gaps nothing is summed up
     rate = np.abs(turns[1:] / step[1:])[near].max(initial=0.0)
     if rate > LARGEST_RATE:
         expected = f"turns of at most {LARGEST_RATE:g} rad/s"

@@ -50,6 +50,7 @@ SAME_FRAME = {"J2000": "EME2000"}  # other names of them in messages, as in the 
 # By how much clocks of these scales are ahead of GPS time, s; UTC is by leap seconds.
 AHEAD_OF_GPS_S = {"GPS": 0.0, "TAI": -GPS_MINUS_TAI_S, "TT": TT_MINUS_TAI_S - GPS_MINUS_TAI_S}
 LIMIT_KM = 1e9  # of a coordinate and of a velocity in km/s, far beyond those of any orbit
+LOWEST_M, HIGHEST_M = 6.4e6, 5e7  # distances of a satellite from the centre of the Earth
 EXPECTED = "an OEM that follows CCSDS 502.0-B"  # what messages say was expected
 # An OEM: the keywords of CCSDS 502.0-B-3, tables 5-2 and 5-3.
 OEM = MessageKind(
@@ -315,7 +316,7 @@ def check_states(t_s: Floats, positions: Floats, file: str, least: int = 8) -> N
         found = f"{t_s[bad[0] + 1]:.6f} s after {t_s[bad[0]]:.6f} s"
         raise RawDataError(file, f"state {bad[0] + 2}, time", found, "strictly increasing times")
     radius = np.linalg.norm(positions, axis=1)
-    if len(bad := np.flatnonzero((radius < 6.4e6) | (radius > 5e7))):
+    if len(bad := np.flatnonzero((radius < LOWEST_M) | (radius > HIGHEST_M))):
         found = f"{radius[bad[0]] / 1e3:.1f} km from the centre"
         raise RawDataError(file, f"state {bad[0] + 1}, position", found, "6400 to 50000 km (unit km)")
 

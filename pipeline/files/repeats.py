@@ -51,6 +51,7 @@ __all__ = [
 SAMPLE_BYTES = 4096  # at the beginning, in the middle and at the end of a file, compared before all bytes are
 WINDOW_PX, WINDOWS = 64, 5  # of two strips that are compared
 SAME_GROUND = 0.5  # least correlation of windows of the same ground; of independent ground it stays below
+FIRST_TO_LAST = (0.1, 0.9)  # parts of the common time at which windows are compared
 
 Key = TypeVar("Key")
 
@@ -98,7 +99,7 @@ def same_ground(a: Strip, b: Strip, ccd: int, span_s: tuple[float, float]) -> bo
     if a.images.paths.get(ccd) == b.images.paths.get(ccd):
         return True
     (begin, end), correlations = span_s, list[float]()
-    for share in np.linspace(0.1, 0.9, WINDOWS).tolist():
+    for share in np.linspace(*FIRST_TO_LAST, WINDOWS).tolist():
         with suppress(RawDataError, ValueError, KeyError):
             of_a, of_b = (_window(strip, ccd, begin + share * (end - begin), share) for strip in (a, b))
             if of_a.std() > 0.0 and of_b.std() > 0.0:
@@ -127,6 +128,7 @@ def _window(strip: Strip, ccd: int, t_s: float, share: float) -> Floats:
 OVERLAP = 0.5  # of the time of the shorter image: from here two images of a sensor are of one instant
 SAME_PX = 0.01  # image positions of two measurements, whose noise is larger, are never so near ...
 SAME_M = 0.1  # ... at points of the ground that are so near
+APART = 10.0  # of these: measurements of different strips or CCDs are never one
 SHARED = 0.25  # of a template's pixels: errors of two targets then correlate by as much
 CLOSE = 0.1  # of the longer step beside: attitudes closer than this may be one attitude given twice
 PROBABILITY_COMMON = 1e-6  # that independent errors agree as well as those of attitudes given twice
@@ -349,7 +351,7 @@ def points_once(points: Sequence[StripPoints], file: str) -> tuple[tuple[StripPo
         for target in of_strip.targets
     ]
     place = [
-        (10.0 * n, 10.0 * ccd, *xy_px / SAME_PX, *target.p_e / SAME_M)
+        (APART * n, APART * ccd, *xy_px / SAME_PX, *target.p_e / SAME_M)
         for n, of_strip in enumerate(points)
         for ccd, xy_px, target in zip(of_strip.ccd, of_strip.xy_px, of_strip.targets)
     ]

@@ -29,6 +29,7 @@ from scipy.spatial.transform import Rotation
 from boresight.geometry.constants import EARTH_ROTATION_RATE, GM_EARTH, WGS84
 from boresight.geometry.orbit import Orbit
 from boresight.records.record import Bools, Floats, record, scalar
+from boresight.star_id.beyond_chance import MAD_SIGMA
 
 __all__ = [
     "AttitudeFault",
@@ -46,6 +47,11 @@ _EFFECT_M_S = 2.0  # smallest error of the velocities that is reported: 0.0014 a
 _MISFIT_M_S = 20.0  # largest difference of velocities from those of the positions that a fault may leave
 _SHORTEST_S = 20.0  # span of states whose accelerations are compared with models: 1 m/s apart by then 20 m/s
 _ACCELERATION_M_S2 = 0.3  # smallest unexplained acceleration that is reported; the Earth's rotation makes 1.1
+_LONGEST_S = 300.0  # over which the acceleration is nearly linear
+_CLEARLY_LESS = 0.3  # of the misfit as stated, that another frame may leave
+_EFFECT_SIGMAS = 3.0  # of the mean of the differences
+_UNRELATED = 0.1  # of the differences: a fault that leaves more does not explain them
+_SAME_UNITS = 0.1  # by which velocities may be longer than positions tell
 _JUMP_M = 7.5  # smallest jump of the positions that is reported: a millisecond along the track
 _LONGEST_GAP_S = 180.0  # over which positions are compared with velocities: quadrature errs by metres
 _JUMP_SIGMAS = 12.0  # of the steps' scatter
@@ -89,7 +95,7 @@ class OrbitFinding:
 
     def __str__(self) -> str:
         at = f" at state {self.state + 1}"
-        units = "" if 0.9 < self.factor < 1.1 else " (units?)"
+        units = "" if abs(self.factor - 1.0) < _SAME_UNITS else " (units?)"
         return self.fault.value + {
             OrbitFault.NOT_ORDERED: f"{at}: {self.size:.6g} s back",
             OrbitFault.JUMP: f"{at}: {self.size:.4g} m against the velocities",
@@ -172,8 +178,8 @@ def _velocity_fault(
     rms = {name: float(np.sqrt(np.mean(np.sum((v - model) ** 2, axis=1)))) for name, model in models.items()}
     best = min(rms, key=lambda fault: rms[fault] + 0.5 * (fault is OrbitFault.SCALED))  # m/s: simpler first
     effect = np.sqrt(max(rms[None] ** 2 - rms[best] ** 2, 0.0))
-    if effect > max(_EFFECT_M_S, 3.0 * rms[best] / np.sqrt(len(u))):
-        unrelated = rms[best] > max(_MISFIT_M_S, 0.1 * rms[None])
+    if effect > max(_EFFECT_M_S, _EFFECT_SIGMAS * rms[best] / np.sqrt(len(u))):
+        unrelated = rms[best] > max(_MISFIT_M_S, _UNRELATED * rms[None])
         return OrbitFinding(
             fault=OrbitFault.UNRELATED if unrelated or best is None else best,
             state=0,
@@ -193,7 +199,7 @@ def _frame_fault(t: Floats, p: Floats, v: Floats, frame: str) -> OrbitFinding | 
     span = np.diff(t)
     gaps = np.flatnonzero(span > _GAP_FACTOR * np.median(span))
     n = int(gaps[0]) + 1 if len(gaps) else len(t)
-    n = min(n, int(np.searchsorted(t, t[0] + 300.0)))  # the acceleration is nearly linear over 5 minutes
+    n = min(n, int(np.searchsorted(t, t[0] + _LONGEST_S)))
     if n < 3 or t[n - 1] - t[0] < _SHORTEST_S:
         return None
     t, p, v = t[:n], p[:n], v[:n]
@@ -206,7 +212,7 @@ def _frame_fault(t: Floats, p: Floats, v: Floats, frame: str) -> OrbitFinding | 
         for fault, rate in rates.items()
     }
     best = min(misfit, key=lambda fault: misfit[fault])
-    if best is None or misfit[None] < _ACCELERATION_M_S2 or misfit[best] > 0.3 * misfit[None]:
+    if best is None or misfit[None] < _ACCELERATION_M_S2 or misfit[best] > _CLEARLY_LESS * misfit[None]:
         return None
     return OrbitFinding(fault=best, state=0, size=misfit[None], factor=1.0)
 
@@ -216,7 +222,7 @@ def _jump(by_positions: Floats, by_velocities: Floats, usual: Bools, compared: B
     jump by a step make a gap.
     """
     difference = np.where(compared, np.linalg.norm(by_positions - by_velocities, axis=1), 0.0)
-    scatter = 1.4826 * float(np.median(difference[usual]))
+    scatter = MAD_SIGMA * float(np.median(difference[usual]))
     limit = np.maximum(
         max(_JUMP_M, _JUMP_SIGMAS * scatter), _JUMP_RELATIVE * np.linalg.norm(by_positions, axis=1)
     )

@@ -22,6 +22,10 @@ from boresight.records.record import Floats, array, record, scalar
 
 __all__ = ["Forecast", "forecast_from_strips"]
 
+BLIND = 1e-3  # component of an unobservable direction, from which its axis has no error
+ENDLESS = 1e9  # strips, and the part of the error of one that is then zero
+AVERAGED = 1e-3
+
 
 @record
 class Forecast:
@@ -41,13 +45,13 @@ class Forecast:
         """1-sigma (3,) about the axes of c, rad; NaN about an axis that is not observable."""
         solution = self.after(strips)
         sigma = np.sqrt(np.diag(solution.covariance))
-        blind = np.any(np.abs(solution.unobservable) > 1e-3, axis=0)
+        blind = np.any(np.abs(solution.unobservable) > BLIND, axis=0)
         return np.where(blind, np.nan, sigma)
 
     def floor(self) -> Floats:
         """1-sigma (3,) that no number of strips falls below, rad; 0 where everything averages."""
-        one, many = self.sigma(1.0), self.sigma(1e9)
-        return np.where(many < 1e-3 * one, 0.0, many)
+        one, many = self.sigma(1.0), self.sigma(ENDLESS)
+        return np.where(many < AVERAGED * one, 0.0, many)
 
     def strips_for(self, target_rad: float) -> int | None:
         """The least number of strips with which every axis is known to `target_rad`; None if none does."""

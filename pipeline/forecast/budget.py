@@ -29,7 +29,8 @@ __all__ = ["ErrorShare", "uncertainty_budget"]
 
 Noise = TypeVar("Noise", AttitudeNoise, GyroNoise)
 STEP = 1e-3  # relative change of a variance: what it leaves out is of its own size, a thousandth of a share
-ROOT = float(np.sqrt(1.0 + STEP))  # the same of a standard deviation
+LARGER = 1.0 + STEP
+ROOT = float(np.sqrt(LARGER))  # the same of a standard deviation
 
 
 @record(kw_only=True)
@@ -75,10 +76,9 @@ def _larger(noise: Noise) -> Noise:
 def _attitudes(strip: StripSightings) -> StripSightings:
     """The strip with attitudes of larger variance, of all heads."""
     others = tuple(
-        replace(one, covariance_h=(1.0 + STEP) * one.covariance_h, noise=_larger(one.noise))
-        for one in strip.others
+        replace(one, covariance_h=LARGER * one.covariance_h, noise=_larger(one.noise)) for one in strip.others
     )
-    fitted = replace(strip.fitted, covariance_s=(1.0 + STEP) * strip.fitted.covariance_s)
+    fitted = replace(strip.fitted, covariance_s=LARGER * strip.fitted.covariance_s)
     gyro = strip.gyro and replace(strip.gyro, noise=_larger(strip.gyro.noise))
     return replace(strip, attitudes=fitted, noise=_larger(strip.noise), others=others, gyro=gyro)
 
@@ -88,7 +88,7 @@ def _images(of_stars: bool) -> Callable[[StripSightings], StripSightings]:
         ground, larger = strip.ground, strip.ground.is_star == of_stars
         if not larger.any():
             return strip
-        factor = np.where(larger, 1.0 + STEP, 1.0)[:, None, None]
+        factor = np.where(larger, LARGER, 1.0)[:, None, None]
         return replace(strip, ground=replace(ground, cov_c=factor * ground.cov_c))
 
     return change
@@ -96,7 +96,7 @@ def _images(of_stars: bool) -> Callable[[StripSightings], StripSightings]:
 
 def _coordinates(strip: StripSightings) -> StripSightings:
     ground = strip.ground
-    return replace(strip, ground=replace(ground, cov_target_i=(1.0 + STEP) * ground.cov_target_i))
+    return replace(strip, ground=replace(ground, cov_target_i=LARGER * ground.cov_target_i))
 
 
 def _earth(strip: StripSightings) -> StripSightings:

@@ -43,6 +43,11 @@ FEWEST_ROWS = 32  # of a piece whose spectrum is used
 LONGEST_S = 1e5  # over which a constant is said to last: a day
 FEWEST_FREQUENCIES = 8  # above those of the motion, of all pieces
 ALIKE = 0.3  # scatter of log(w), log(a), log(τ) between heads, and between x and y
+FAR = 1.5  # scatter of log(τ) about its start
+TAPERED = 0.2  # of a piece, at its ends, where the motion of the satellite is in it
+START_WHITE, START_STEPS = 0.7, 5.0  # part of the variance that is white, and τ in steps, at the start
+LEAST_OF_HEAD = 0.02  # of the mean variance, that a head has at the start
+H_LOG = 1e-3  # step of a parameter, by which the curvature is found
 
 
 @record(kw_only=True)
@@ -188,7 +193,7 @@ def _periodograms(parts: Sequence[Floats], signal: Signal) -> tuple[Floats, Floa
     matrices: list[Floats] = []
     for part in parts:
         K = len(part)
-        taper = scipy.signal.windows.tukey(K, 0.2 if signal.lowest_hz > 0.0 else 0.0)[:, None]
+        taper = scipy.signal.windows.tukey(K, TAPERED if signal.lowest_hz > 0.0 else 0.0)[:, None]
         taper = taper / np.sqrt(np.mean(taper**2))
         X = np.fft.rfft(taper * (part - part.mean(axis=0)), axis=0)[1 : (K + 1) // 2]
         at: Floats = 2.0 * np.pi * np.arange(1, (K + 1) // 2, dtype=np.float64) / K
@@ -232,7 +237,7 @@ def _start_variances(signal: Signal, parts: Sequence[Floats]) -> Floats:
     H, D, _ = signal.enters.shape
     columns = np.einsum("hda,hea->deha", signal.enters, signal.enters).reshape(D * D, 3 * H)
     found, _ = nnls(columns, covariance.ravel())
-    return np.maximum(found, 0.02 * np.trace(covariance) / (D * H)).reshape(H, 3)
+    return np.maximum(found, LEAST_OF_HEAD * np.trace(covariance) / (D * H)).reshape(H, 3)
 
 
 def _unlike(x: Floats, start: Floats) -> tuple[float, Floats]:
@@ -243,16 +248,16 @@ def _unlike(x: Floats, start: Floats) -> tuple[float, Floats]:
     pull = np.zeros_like(x)
     for axes in (slice(0, 2), slice(2, 3)):
         pull[:, axes] = (x[:, axes] - x[:, axes].mean(axis=(0, 1))) / ALIKE
-    later = (x[..., 2] - start[..., 2]) / 1.5
+    later = (x[..., 2] - start[..., 2]) / FAR
     by_x = pull / ALIKE
-    by_x[..., 2] += later / 1.5
+    by_x[..., 2] += later / FAR
     return 0.5 * float(np.sum(pull**2) + np.sum(later**2)), by_x
 
 
 def _errors(loss: Callable[[Floats], tuple[float, Floats]], x: Floats) -> Floats:
     """Covariance of the parameters by the curvature of minus the logarithm of their probability."""
-    h = 1e-3
-    hessian = np.array([loss(x + step)[1] - loss(x - step)[1] for step in h * np.eye(len(x))]) / (2.0 * h)
+    changes = [loss(x + step)[1] - loss(x - step)[1] for step in H_LOG * np.eye(len(x))]
+    hessian = np.array(changes) / (2.0 * H_LOG)
     values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
     return np.asarray((vectors / np.maximum(values, 1.0)) @ vectors.T)  # the prior's curvature is above 1
 
@@ -287,8 +292,9 @@ def _fitted(signal: Signal, parts: Sequence[Floats]) -> tuple[Floats, Floats, Fl
         )
     H = len(signal.enters)
     variance = _start_variances(signal, parts)
-    start = np.stack([0.5 * np.log(0.7 * variance), 0.5 * np.log(0.3 * variance), np.zeros((H, 3))], axis=-1)
-    start[:, :, 2] = np.log(5.0 * signal.step_s)
+    shares = np.array([START_WHITE, 1.0 - START_WHITE, 1.0])
+    start = 0.5 * np.log(variance[..., None] * shares)
+    start[:, :, 2] = np.log(START_STEPS * signal.step_s)
 
     def loss(x: Floats) -> tuple[float, Floats]:
         p = x.reshape(H, 3, 3)
@@ -301,13 +307,13 @@ def _fitted(signal: Signal, parts: Sequence[Floats]) -> tuple[Floats, Floats, Fl
     x = np.asarray(found.x, dtype=np.float64).reshape(H, 3, 3)
 
     def white_loss(y: Floats) -> tuple[float, Floats]:
-        density = np.exp(2.0 * y)
+        density = np.exp(y)
         level = np.tile(density.reshape(H, 3), (len(omega), 1, 1))
         fit, by_level = _whittle(level, signal.enters, periodogram)
-        return fit, 2.0 * density * by_level.sum(axis=0).ravel()
+        return fit, density * by_level.sum(axis=0).ravel()
 
-    white = minimize(white_loss, 0.5 * np.log(variance).ravel(), jac=True)
-    white_density = np.exp(2.0 * np.asarray(white.x)).reshape(H, 3)
+    white = minimize(white_loss, np.log(variance).ravel(), jac=True)
+    white_density = np.exp(np.asarray(white.x)).reshape(H, 3)
     covariance = _errors(loss, x.ravel())
     lost = 2.0 * (float(white.fun) - float(found.fun))
     return x, covariance, white_density, lost

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from boresight.geometry.sightings import StarSightings
 from boresight.records.record import Floats, Ints, Texts, array, record, scalar
+from boresight.star_id.beyond_chance import MAD_SIGMA
 from boresight.star_id.finding.star_list import list_stars
 from boresight.star_id.settings import StarSettings
 
@@ -93,6 +94,6 @@ def jpeg_of(grey: NDArray[np.uint8], quality: int) -> bytes:
 def sky_stretch(image: NDArray[np.float32]) -> NDArray[np.float32]:
     """Brightness from 0 to 1 of an image (H, W): sky and its noise dark, stars bright."""
     sky = float(np.median(image))
-    sigma = max(1.4826 * float(np.median(np.abs(image - sky))), 0.5)
+    sigma = max(MAD_SIGMA * float(np.median(np.abs(image - sky))), 0.5)
     low, high = (sky + s * sigma for s in SKY_SIGMAS)
     return ((np.clip(image, low, high) - low) / (high - low)) ** 0.6

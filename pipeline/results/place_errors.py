@@ -29,7 +29,7 @@ from boresight.records.record import Floats, array, record
 
 __all__ = ["PassErrors", "PlaceErrors", "covariance_of_places", "rest_of_common", "variance_of_places"]
 
-RATE_OVER_S = 1.0  # time over which an attitude's rate is taken: longer than a step between star images
+RATE_WITHIN_S = 0.5  # before and after, an attitude's rate is taken: longer than a step between star images
 KNOTS = 129  # instants of a strip between which errors of smoothed attitudes are taken as linear
 
 
@@ -114,9 +114,7 @@ class PassErrors:
 
     def _rate_s(self, t_s: Floats) -> Floats:
         """Rotation rate (N, 3) of the sky in frame s, rad/s."""
-        before, after = (
-            np.clip(t_s + half, *self.track.span_s) for half in (-RATE_OVER_S / 2, RATE_OVER_S / 2)
-        )
+        before, after = (np.clip(t, *self.track.span_s) for t in (t_s - RATE_WITHIN_S, t_s + RATE_WITHIN_S))
         turns = (self.track.R_si(after) * self.track.R_si(before).inv()).as_rotvec()
         return np.asarray(turns / (after - before)[:, None])
 

@@ -42,6 +42,7 @@ OTHERS = ("earth/", "reference/", "periodic/", "camera/")  # beginnings of other
 # Names of unknowns: distortion along x or y, of a CCD, at a node or of a mode.
 DISTORTION = re.compile(rf"distortion/[xy]/\d{{1,6}}/(-?\d{{1,6}}|{'|'.join(MODES)})")
 
+UNIT_LENGTH = 1e-6  # by which a quaternion may be longer or shorter
 # Keys of the verdict in installation.json, and of each of its checks.
 VERDICT_KEYS = set("outcome sentence checks findings probability_false_alarm".split())
 VERDICT_KEYS |= {"weakest_axis_c", "weakest_sigma_rad"}
@@ -213,7 +214,7 @@ def read_matrices(result: Path) -> tuple[tuple[str, ...], Rotation, Floats, Floa
 def _matrix(content: dict[str, Any], file: str) -> tuple[Rotation, Floats]:
     """A matrix with its theta."""
     quaternion = _numbers(content, "quaternion", (4,), file)
-    if abs(np.linalg.norm(quaternion) - 1.0) > 1e-6:
+    if abs(np.linalg.norm(quaternion) - 1.0) > UNIT_LENGTH:
         raise RawDataError(file, "quaternion", quaternion.tolist(), "length 1")
     return Rotation.from_quat(quaternion), _numbers(content, "theta_rad", (3,), file)
 

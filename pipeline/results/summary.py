@@ -47,6 +47,7 @@ MOST_REASONS = 8
 UNNEEDED = (Reason.OUT_OF_VIEW, Reason.NOT_NEEDED, Reason.ATTITUDES_NOT_NEEDED, Reason.NO_TARGET)
 # Most blind spots that the console names, and the least effect of one; installation.json has all.
 MOST_BLIND, LEAST_EFFECT_RAD = 6, 0.005 * ARCSEC
+WHOLE_FROM, WHOLE_BELOW = 9.95, 1e6  # numbers that are told without decimals
 REASON_WORDS: dict[str, str] = {  # of reasons that counts alone do not explain
     Reason.TARGET_RESIDUAL: "gross error",
     Reason.LOW_CORRELATION: "cloud or change",
@@ -138,7 +139,7 @@ def unit_effect(one: Mapping[str, Any], sigma_rad: Floats) -> str:
 
 def two_digits(value: float) -> str:
     """Format of a number of two digits that is read by people: 104, not 1e+02; 0.38; 2.5."""
-    return ".0f" if 9.95 <= abs(value) < 1e6 else ".2g"
+    return ".0f" if WHOLE_FROM <= abs(value) < WHOLE_BELOW else ".2g"
 
 
 def _equal_names(group: Sequence[str]) -> str:

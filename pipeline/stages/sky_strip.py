@@ -55,6 +55,7 @@ _NODES = 33  # lines at which the motion of the image points is given
 NOT_STATED_PX = 1.0  # 1 sigma of what displaces a star beside the stated errors (set by hand)
 _OF_STAGES = "check tdi_stages and time_of_row in remote_camera.toml"
 _LEAST_SMEAR = 1.0  # rows from which TDI stages give a star another shape than the optics do
+_AT_LEAST_GAIN = 1.1  # times the least gain: below it no noise was found
 _SLOWEST = 0.05  # pixels a row: slower, a star stays for hundreds of rows
 # Margin around a strip's field, rad, within which catalogue stars are looked up: more than aberration and
 # refraction.
@@ -133,7 +134,7 @@ def find_sky_stars(task: SkyTask) -> StripStars | Entry:
     if not len(found.ccd):
         return task.item.because(Reason.NOT_IDENTIFIED, _without_stars(task, saturation))
     smear = float(motion.usual.smear_rows.max())
-    if smear > _LEAST_SMEAR and found.gain_e_per_dn < 1.1 * LEAST_GAIN:
+    if smear > _LEAST_SMEAR and found.gain_e_per_dn < _AT_LEAST_GAIN * LEAST_GAIN:
         reason = f"{task.stages} stages would smear its stars over {smear:.0f} rows; they are not"
         return task.item.because(Reason.OTHER_SMEAR, f"{reason}: {_OF_STAGES}")
     return found

@@ -67,6 +67,9 @@ __all__ = [
 
 # Most pixels of a chip.
 MAX_CHIP_PIXELS = 4096 * 4096
+# Targets are looked for so far from the middle of a footprint: times its half diagonal, and beyond that.
+NEAR, NEAR_M = 1.2, 2e4
+NAMED = 0.1  # of a displacement, below which its part north or east is not named
 NOTHING = np.empty((0, 0), np.float32)  # in the place of a picture that is not kept
 MOST_CHIPS = 256  # of a strip in memory: 100 MB of 200 x 200 px; of more each is read thrice
 IN_ORDER = InOrder()  # the executor where none is given: this process
@@ -355,8 +358,8 @@ def displaced_m(model: Pushbroom, p_e: Floats, ccd: int, xy_px: Sequence[float])
 def compass(east_m: float, north_m: float) -> str:
     """A horizontal displacement in words: "60 m west, 14 m north"; a part below a tenth is not named."""
     parts = ((east_m, "east", "west"), (north_m, "north", "south"))
-    size = float(np.hypot(east_m, north_m))
-    words = [f"{abs(v):.3g} m {plus if v > 0 else minus}" for v, plus, minus in parts if abs(v) > 0.1 * size]
+    least = NAMED * float(np.hypot(east_m, north_m))
+    words = [f"{abs(v):.3g} m {plus if v > 0 else minus}" for v, plus, minus in parts if abs(v) > least]
     return ", ".join(words)
 
 
@@ -435,7 +438,7 @@ def targets_near(
     satellite = task.orbit.positions_e(model.instants(np.array([0.5 * (task.strip.lines - 1.0)])))[0]
     distance = float(np.linalg.norm(satellite - middle))
     shift = 2.0 * task.settings.sigmas * float(task.sigma_installation_rad.max())
-    reach = 1.2 * reach + distance * shift + 2e4
+    reach = NEAR * reach + distance * shift + NEAR_M
     near = [n for n, target in enumerate(targets) if np.linalg.norm(target.p_e - middle) <= reach]
     return tuple(targets[n] for n in near), tuple(chips[n] for n in near)
 

@@ -30,6 +30,7 @@ from boresight.records.record import Bools, Floats
 __all__ = ["before_launch", "fitting_slip", "strip_tasks", "strips_to_match"]
 
 NEAR_PX = 50.0  # a slip is looked for where the place is farther off, and must come nearer
+CLOSER = 0.1  # of the stated distance, within which a slip must bring it
 
 
 def strip_tasks(
@@ -168,12 +169,12 @@ def fitting_slip(task: StripTask, target: Target, ccd: int, xy_px: Floats) -> st
     def fits(places_deg: Floats) -> Bools:
         place_lat, place_lon = np.radians(places_deg).T
         p_e = ecef_from_geodetic(place_lat, place_lon, np.full(len(place_lat), height[0]))
-        return np.asarray(off_px(p_e) < min(limit_px, 0.1 * stated_px))
+        return np.asarray(off_px(p_e) < min(limit_px, CLOSER * stated_px))
 
     if stated_px < limit_px:
         return ""
     for other in range(task.camera.n_ccds):
-        if float(off_px(target.p_e[None], other)[0]) < min(limit_px, 0.1 * stated_px):
+        if float(off_px(target.p_e[None], other)[0]) < min(limit_px, CLOSER * stated_px):
             return f"; it fits in CCD {other}: correct its CCD"
     slip = likeliest(slips(float(np.degrees(lat[0])), float(np.degrees(lon[0]))), fits)
     return f"; {slip.words} would fit: correct the table" if slip else ""
