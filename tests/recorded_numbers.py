@@ -17,11 +17,13 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 from numpy.typing import ArrayLike
 
 RECORDS = Path(__file__).with_name("recorded")
 NUMBER = re.compile(r"(?<![\w#.-])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w#])")
 RELATIVE = 2e-4  # other processors and libraries round otherwise, and iterations end elsewhere
+CHANGING = ("cpu_ms", "seconds", "made", "version", "commit", "times")
 
 
 def summary(values: ArrayLike) -> list[float]:
@@ -65,3 +67,35 @@ def assert_recorded(name: str, found: Mapping[str, ArrayLike], relative: float =
 def _alike(before: list[float], now: list[float], relative: float) -> bool:
     size = relative * max(before[2], 1e-300)  # the rms
     return before[0] == now[0] and all(abs(a - b) <= size for a, b in zip(before[1:], now[1:]))
+
+
+def flat(name: str, value: object) -> dict[str, list[float]]:
+    """Numbers of a JSON value, by the path of their keys; lists of numbers stay together."""
+    if isinstance(value, dict):
+        found: dict[str, list[float]] = {}
+        for key, one in value.items():
+            if key not in CHANGING:
+                for path, numbers in flat(f"{name}/{key}", one).items():
+                    found.setdefault(path, []).extend(numbers)
+        return found
+    if isinstance(value, list):
+        found = {}
+        for one in value:
+            for path, numbers in flat(name, one).items():
+                found.setdefault(path, []).extend(numbers)
+        return found
+    return {name: [float(value)]} if isinstance(value, int | float) else {}
+
+
+def table_numbers(path: Path) -> dict[str, list[float]]:
+    """Numbers of each column of a table; those of one quantity by many unknowns together."""
+    found: dict[str, list[float]] = {}
+    for name, column in zip((table := pq.read_table(path)).column_names, table.columns):
+        try:
+            values = [np.nan if one is None else one for one in column.to_pylist()]
+            numbers = np.array(values, dtype=float).ravel()
+        except (TypeError, ValueError):
+            continue
+        if name not in CHANGING:
+            found.setdefault(f"{path.stem}/{name.partition(':')[0]}", []).extend(numbers.tolist())
+    return found

@@ -15,6 +15,7 @@ from command_line import ran
 from drawn_campaigns import squared
 from drawn_pictures import kept_figures, numbers
 from handmade_sentinel2 import POINT, write_sentinel2
+from recorded_numbers import assert_recorded, flat
 from scipy.linalg import toeplitz
 from scipy.signal import freqz, lfilter, periodogram
 from scipy.spatial.transform import Rotation
@@ -96,6 +97,7 @@ def test_estimated_noise_is_the_drawn_one_within_its_error(noise):
         off = (np.log(head["correlation_time_s"]) - np.log(TIME_S[n])) / sigma[:, 2]
         assert np.all(np.abs(off) < 3.5)
     assert told["white_dof"] == 12 and told["white_statistic"] > chi2(12).isf(1e-6)
+    assert_recorded("noise", flat("", told), relative=5e-3)  # the likeliest noise, to where a search for it ends
 
 
 def test_every_printed_number_is_that_for_programs(noise):
