@@ -145,8 +145,8 @@ def _with_targets_at_ends(strip: StripSightings, R_cs: Rotation, camera: LineSen
     """The strip with its targets moved, at their instants, to the two ends of the swath in turn."""
     ground = strip.ground
     pixels = [camera.n_px(k) for k in range(camera.n_ccds)]
-    middle = [camera.directions_from_pixels(k, np.array([0.5 * n]))[0, 1] for k, n in enumerate(pixels)]
-    left, right = int(np.argmin(middle)), int(np.argmax(middle))
+    ends = [camera.directions_from_pixels(k, np.array([0.0, n - 1.0]))[:, 1] for k, n in enumerate(pixels)]
+    left, right = int(np.argmin([y.sum() for y in ends])), int(np.argmax([y.sum() for y in ends]))
     width = OUTER_SHARE * sum(pixels)
     share = (np.arange(len(ground.t_s)) // 2 + 0.5) / max(1, (len(ground.t_s) + 1) // 2)
     at_left = np.arange(len(ground.t_s)) % 2 == 0
@@ -154,9 +154,8 @@ def _with_targets_at_ends(strip: StripSightings, R_cs: Rotation, camera: LineSen
     sample, u_c = np.zeros(len(ccd)), np.zeros((len(ccd), 3))
     for k, here, sign in ((left, at_left, -1.0), (right, ~at_left, 1.0)):
         n_px = pixels[k]
-        ends = camera.directions_from_pixels(k, np.array([0.0, n_px - 1.0]))[:, 1]
         from_end = share[here] * min(width, n_px - 1.0)
-        sample[here] = from_end if sign * ends[0] > sign * ends[1] else n_px - 1.0 - from_end
+        sample[here] = from_end if sign * ends[k][0] > sign * ends[k][1] else n_px - 1.0 - from_end
         u_c[here] = camera.directions_from_pixels(k, sample[here])
     nearest = np.argmin(np.abs(strip.times_s[:, None] - ground.t_s), axis=0)
     R_ci = R_cs * Rotation.from_matrix(strip.fitted.R_si[nearest])

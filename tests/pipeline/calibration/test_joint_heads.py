@@ -1,14 +1,17 @@
 """Several dumps with two star trackers each: one matrix of each tracker from all of them."""
 
+import io
 import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from command_line import ran
 from handmade_sentinel2 import write_sentinel2
+from recorded_numbers import assert_recorded, columns_of
 from scipy.spatial.transform import Rotation
 
 from boresight.features.operators.imported_mission import ImportedMission, ImportedStrip, write_imported
@@ -122,10 +125,14 @@ def blinded(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Dump, tuple
     return root / "result", open_dump(root / "dump"), matrices
 
 
-def test_strip_that_only_the_second_tracker_covers_is_carried_by_it(blinded):
+def test_strip_that_only_the_second_tracker_covers_is_carried_by_it(blinded, tmp_path):
     result, dump, matrices = blinded
     installation = json.loads((result / "installation.json").read_text())
     assert installation["targets"] == 80  # 40 in each strip
+    (tmp_path / "pixels.csv").write_text("ccd,sample,line\n0,3.25,50.5\n0,20.5,120.75\n")
+    asked = ("--dump", dump.root, "--strip", "late", "--pixels", tmp_path / "pixels.csv")
+    told = pd.read_csv(io.StringIO(ran("geolocate", result, *asked).stdout))
+    assert_recorded("places_of_two_heads", columns_of(told))
     assert_matrices(installation, matrices)
     assert not [one for one in calibrate_dump(dump).omissions if one.subject.kind == "strip"]
 

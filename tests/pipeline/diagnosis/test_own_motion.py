@@ -11,7 +11,7 @@ from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.gyro import GyroNoise, GyroRecord
 from boresight.geometry.sightings import exposure_without_stars, solved_attitudes
-from boresight.pipeline.diagnosis.own_motion import against_own_motion
+from boresight.pipeline.diagnosis.own_motion import _common_step, against_own_motion
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.stages.head import HeadSightings
 from boresight.records.ledger import Kind, Subject
@@ -230,11 +230,14 @@ def restated(record, t_s):
 def test_even_instants_that_are_cut_or_early_are_named_in_a_single_strip(step_s, rate):
     """Twelve rows, which a free motion follows: with evenly spaced instants there is none."""
     t_s = step_s * np.arange(12)
-    cut, early = np.floor(8.0 * t_s) / 8.0, t_s - 0.05 * (np.arange(12) % 3 == 0)
+    cut, early = np.floor(8.0 * t_s) / 8.0 + 0.05, t_s - 0.05 * (np.arange(12) % 3 == 0)
     for stated in (cut, early):
         (told,) = against_own_motion([restated(record_of(1, rate, strips=1, rows=12, step_s=step_s), stated)])
         assert told.cause == "times of attitudes" and told.refutes
         assert ("multiples of 0.125 s" in told.text) == (stated is cut)
+    # Half to twice the scatter of instants that are cut by chance, a step over the root of twelve.
+    for ratio, step in ((0.48, 0.0), (0.52, 0.125), (1.9, 0.125), (2.1, 0.0)):
+        assert _common_step(cut, 0.125 / np.sqrt(12.0) / ratio) == pytest.approx(step, abs=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(5))
