@@ -71,20 +71,15 @@ def _alike(before: list[float], now: list[float], relative: float) -> bool:
 
 def flat(name: str, value: object) -> dict[str, list[float]]:
     """Numbers of a JSON value, by the path of their keys; lists of numbers stay together."""
-    if isinstance(value, dict):
-        found: dict[str, list[float]] = {}
-        for key, one in value.items():
-            if key not in CHANGING:
-                for path, numbers in flat(f"{name}/{key}", one).items():
-                    found.setdefault(path, []).extend(numbers)
-        return found
-    if isinstance(value, list):
-        found = {}
-        for one in value:
-            for path, numbers in flat(name, one).items():
-                found.setdefault(path, []).extend(numbers)
-        return found
-    return {name: [float(value)]} if isinstance(value, int | float) else {}
+    if isinstance(value, int | float):
+        return {name: [float(value)]}
+    found: dict[str, list[float]] = {}
+    parts = value.items() if isinstance(value, dict) else ()
+    items = [(name, one) for one in value] if isinstance(value, list) else []
+    for path, one in [*items, *((f"{name}/{key}", one) for key, one in parts if key not in CHANGING)]:
+        for key, numbers in flat(path, one).items():
+            found.setdefault(key, []).extend(numbers)
+    return found
 
 
 def table_numbers(path: Path) -> dict[str, list[float]]:

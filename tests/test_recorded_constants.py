@@ -31,15 +31,14 @@ def numbers_of(value: object) -> list[float]:
 
 
 def stated_in(module: ModuleType) -> Iterator[tuple[str, object]]:
-    """Constants that a module itself assigns, and defaults of its functions, records and methods."""
+    """Constants that a module itself assigns, and defaults of its functions and methods."""
     for node in ast.parse(inspect.getsource(module)).body:
         targets = getattr(node, "targets", [getattr(node, "target", ast.Pass())])
         names = [one.id for target in targets for one in ast.walk(target) if isinstance(one, ast.Name)]
         yield from ((name, getattr(module, name)) for name in names if name.isupper())
     for owner in (module, *(one for one in vars(module).values() if isinstance(one, type))):
         for one in list(vars(owner).values()):
-            of = getattr(one, "__func__", one)
-            if inspect.isfunction(of) and of.__module__ == module.__name__:
+            if inspect.isfunction(of := getattr(one, "__func__", one)) and of.__module__ == module.__name__:
                 parameters = inspect.signature(of).parameters.items()
                 yield from ((f"{of.__qualname__}({key})", parameter.default) for key, parameter in parameters)
 

@@ -97,9 +97,7 @@ def test_estimated_noise_is_the_drawn_one_within_its_error(noise):
         off = (np.log(head["correlation_time_s"]) - np.log(TIME_S[n])) / sigma[:, 2]
         assert np.all(np.abs(off) < 3.5)
     assert told["white_dof"] == 12 and told["white_statistic"] > chi2(12).isf(1e-6)
-    assert_recorded(
-        "noise", flat("", told), relative=5e-3
-    )  # the likeliest noise, to where a search for it ends
+    assert_recorded("noise", flat("", told), relative=5e-3)  # of rms: where the search for the likeliest ends
 
 
 def test_every_printed_number_is_that_for_programs(noise):

@@ -31,9 +31,8 @@ def frame_information_literally(
     z = (w_o @ w_c.T - v_stars @ v_targets.T).ravel()  # steps 2 and 3, (21), (23)
     cross = np.cross(w_o[:, None, :], w_c[None, :, :])  # (n_s, n_c, 3)
     H = cross.reshape(-1, 3)  # step 4, (21) with the sign of its own (19)
-    B = np.zeros(
-        (n_s, n_c, n_s + n_c, 3)
-    )  # steps 5 and 6: G = sigma [[W]], so B's blocks are sigma (W° x W), (A9)
+    # Steps 5 and 6: G = sigma [[W]], so B's blocks are sigma (W° x W), (A9).
+    B = np.zeros((n_s, n_c, n_s + n_c, 3))
     stars, targets = np.arange(n_s), np.arange(n_c)
     B[stars, :, stars] = sigma_s[:, None, None] * cross
     B[:, targets, n_s + targets] = -sigma_c[:, None] * cross

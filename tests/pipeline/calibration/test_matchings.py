@@ -104,9 +104,7 @@ def test_a_settled_strip_has_the_matrix_and_the_predictions_of_a_second_matching
         assert np.array_equal(one.target_id, two.target_id) and np.array_equal(one.ccd, two.ccd)
         square = (one.xy_px - two.xy_px) ** 2 / np.diagonal(one.cov_px + two.cov_px, axis1=1, axis2=2)
         assert 0.0 < np.median(square) < 0.25
-        assert (
-            np.abs(one.predicted_px - two.predicted_px).max() < 0.01
-        )  # px; by the pre-launch matrix thousands
+        assert np.abs(one.predicted_px - two.predicted_px).max() < 0.01  # px; before launch thousands
 
 
 def test_strips_are_matched_again_where_a_target_was_refused_or_lay_far_from_its_prediction(

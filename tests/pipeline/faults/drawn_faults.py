@@ -224,9 +224,7 @@ def _of_lines(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
 
 def _of_ground(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
     """Ground of strips that is moved, too high or scattered."""
-    in_chips = (
-        facts.listed == "targets.csv"
-    )  # then a target is another point of its chip, and seen where it is
+    in_chips = facts.listed == "targets.csv"  # then a target is another point of its chip, seen where it is
     for place, strips in several(facts, facts.of_kind("ground"), rng).items():
         for axis, smallest in (("height", 60.0), ("east", 15.0), ("north", 15.0)):
             times, metres = sized(smallest, rng, 10.0)

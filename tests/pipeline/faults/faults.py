@@ -622,9 +622,8 @@ def _of_attitudes(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:
         x, y, z, w = (float(value) for value in values if value.strip())
         change(path, pattern, f"quaternion_cs = {[-x, -y, -z, w]}")
 
-    yield mistake(
-        "installation conjugate", "", installation, ("installation",), facts.heads[:1]
-    )  # whose file it is
+    whose = facts.heads[:1]
+    yield mistake("installation conjugate", "", installation, ("installation",), whose)
 
 
 def _of_ground(facts: Facts, rng: np.random.Generator) -> Iterator[Fault]:

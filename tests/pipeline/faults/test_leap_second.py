@@ -51,9 +51,7 @@ def test_times_across_a_leap_second_are_those_of_erfa(flown: tuple[Mission, Dump
     theirs = (tai - tai[0]).sec  # ERFA's day of 2016-12-31 has 86401 s
     # Two floats of a day: 2e-11 s.
     np.testing.assert_allclose(ours - ours[0], theirs, atol=1e-10)  # s
-    assert np.diff(ours[:-1]) == pytest.approx(
-        0.25, abs=1e-9
-    )  # one exposure every quarter, leap second or not
+    assert np.diff(ours[:-1]) == pytest.approx(0.25, abs=1e-9)  # s: every quarter, leap second or not
 
 
 def test_strip_across_a_leap_second_is_calibrated(flown: tuple[Mission, Dump], tmp_path: Path) -> None:

@@ -102,9 +102,8 @@ def test_several_blocks_of_one_head_follow_one_another(tmp_path: Path) -> None:
 
 
 def test_the_exported_message_is_read_with_its_variances(tmp_path: Path) -> None:
-    R_ci = Rotation.from_rotvec(
-        np.outer(np.linspace(2.9, 3.4, 7), [0.48, -0.6, 0.64])
-    )  # half a turn and more
+    turns = np.linspace(2.9, 3.4, 7)  # half a turn and more
+    R_ci = Rotation.from_rotvec(np.outer(turns, [0.48, -0.6, 0.64]))
     utc = [f"2025-03-20T02:31:0{n}.250000000" for n in range(7)]
     header = AemHeader(creation_utc="2025-03-21T00:00:00", object_name="SAT", instrument="CAMERA_1")
     variance = np.outer(np.arange(1.0, 8.0), [1e-12, 4e-12, 9e-10])

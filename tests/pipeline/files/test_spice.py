@@ -404,10 +404,8 @@ def test_without_the_toolkit_the_extra_is_named(dump: Path, monkeypatch: pytest.
 
 def test_mutated_kernels_are_read_or_refused(dump: Path) -> None:
     """Bytes, cuts and insertions at the places of all parts of the files; `RawDataError` or rows."""
-    rng, whole = (
-        np.random.default_rng(9),
-        {name: (dump / name).read_bytes() for name in ("str1.bc", "sat.bsp")},
-    )
+    rng = np.random.default_rng(9)
+    whole = {name: (dump / name).read_bytes() for name in ("str1.bc", "sat.bsp")}
     refused = 0
     for n in range(80):
         name = ("str1.bc", "sat.bsp")[n % 2]

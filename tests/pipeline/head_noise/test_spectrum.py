@@ -61,10 +61,8 @@ def test_what_lasts_longer_than_a_strip_makes_means_of_every_axis_uncertain() ->
 
 @pytest.mark.parametrize("time_s", [0.0, 60.0, 300.0])
 def test_how_long_a_constant_lasts_is_told_by_neighbouring_means(time_s: float) -> None:
-    t, rows = (
-        10.0 * np.arange(600),
-        25,
-    )  # an hour and a half of means over 10 s, of white noise and what lasts
+    # An hour and a half of means over 10 s, of white noise and what lasts.
+    t, rows = 10.0 * np.arange(600), 25
     rng = np.random.default_rng(3)
     white = 0.5 * ARCSEC * rng.standard_normal((len(t) * rows, 3))
     lasting = correlated_noise(np.full(3, 0.5 * ARCSEC), np.full(3, max(time_s, 1e-3)), t, rng)

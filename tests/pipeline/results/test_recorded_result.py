@@ -35,8 +35,7 @@ def test_tables_and_matrix_are_those_recorded(case: tuple[str, Path]) -> None:
 
 
 def test_figures_of_the_page_are_those_recorded(case: tuple[str, Path]) -> None:
-    name, result = case
-    page = report_html(read_saved(result))
+    name, page = case[0], report_html(read_saved(case[1]))
     found: dict[str, list[float]] = {}
     for n, svg in enumerate(re.findall(r"<svg\b.*?</svg>", page, re.DOTALL)):
         bare = re.sub(r'(?:id|class|href|xlink:href|data-[\w-]+|src|clip-path|style)="[^"]*"', "", svg)

@@ -36,12 +36,8 @@ def test_limits_of_the_fields_of_a_dump_are_the_recorded_ones():
     found = {}
     for name, kind in vars(dump_schema).items():
         for field in typing.get_args(kind)[1:]:
-            bounds = [
-                getattr(one, key)
-                for one in getattr(field, "metadata", ())
-                for key in ("ge", "le")
-                if hasattr(one, key)
-            ]
+            stated = [(one, key) for one in getattr(field, "metadata", ()) for key in ("ge", "le")]
+            bounds = [getattr(one, key) for one, key in stated if hasattr(one, key)]
             if bounds:
                 found[name] = bounds
     assert {"TargetSigma", "FocalPlane", "PixelPitch"} <= found.keys()
