@@ -192,8 +192,8 @@ def _constraints(model: InteriorModel, stagger: bool) -> Floats:
                 row = np.zeros(len(names))
                 row[columns] = moment @ spline
                 of_ccds.append(row)
-    rows = [*(rigid / np.abs(rigid).max(axis=1, keepdims=True)), *of_ccds, _mean(model, "scale")]
-    return np.array([*rows, _mean(model, "stagger")] if stagger else rows)
+    rows = [*(rigid / np.abs(rigid).max(axis=1, keepdims=True)), *of_ccds, _sum(model, "scale")]
+    return np.array([*rows, _sum(model, "stagger")] if stagger else rows)
 
 
 def _unseen_changes(model: InteriorModel, root: Floats, n: int) -> Floats:
@@ -218,12 +218,12 @@ def _evenly(ccd: Ccd, n: int) -> Floats:
     return np.asarray(np.linspace(0.0, ccd.n_px - 1.0, n), dtype=np.float64)
 
 
-def _mean(model: InteriorModel, kind: str) -> Floats:
-    """Row (P,) whose product with the parameters is the mean of one kind over all samples."""
+def _sum(model: InteriorModel, kind: str) -> Floats:
+    """Row (P,) whose product with the parameters is the sum of one kind over all samples."""
     row = np.zeros(len(model.names))
     for c, ccd in enumerate(model.camera.ccds):
         row[model.names.index(f"{kind}/{c}")] = ccd.n_px
-    return row / row.sum()
+    return row
 
 
 # Combinations of interior parameters that no observation tells from another unknown: what is fixed at its
