@@ -2,6 +2,7 @@
 
 import re
 import sys
+from contextlib import nullcontext
 from dataclasses import fields
 from pathlib import Path
 
@@ -17,6 +18,7 @@ import boresight as bs
 from boresight.features.paper.tables import hipparcos_fields
 from boresight.features.paper.vector_experiments import ExperimentSettings
 from boresight.features.planning import campaign_plan
+from boresight.features.planning.api import forecast
 from boresight.features.planning.campaign_plan import (
     Plan,
     PlannedErrors,
@@ -163,6 +165,11 @@ def test_no_number_of_a_plan_is_negative_but_an_angle_and_counts_have_a_range():
             said = f"plan.{name}: found {key} must be 1 to .*, got {count}"
             with pytest.raises(RawDataError, match=said):
                 settings_from_values(Plan, {name: {key: count}}, "plan", "plan")
+    for step_s, holds in ((9.9e-4, False), (1e-3, True), (100.0, True), (101.0, False)):
+        with nullcontext() if holds else pytest.raises(ValueError, match="step_s must be"):
+            PlannedGyro(step_s=step_s)
+    with pytest.raises(ValueError, match="target_arcsec"):
+        forecast(target_arcsec=1.01e9)
     for key in ("across", "along"):
         with pytest.raises(RawDataError, match=r"plan.targets: found across and along must increase"):
             settings_from_values(Plan, {"targets": {key: [1.0, -1.0]}}, "plan", "plan")

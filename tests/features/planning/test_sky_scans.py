@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import astropy.units as u
+import erfa
 import numpy as np
 import pandas as pd
 import pytest
@@ -118,6 +119,15 @@ def test_every_second_candidate_scans_the_other_way(monkeypatch):
     with pytest.raises(ValueError, match="0 of 6 candidates"):
         chosen(candidates=6, hours=3.0, rate_mrad_s=0.7)
     assert np.allclose(tried, [(1800.0 * n, 7e-4 * (-1.0) ** n) for n in range(6)])
+
+
+def test_stars_have_moved_as_erfa_says():
+    sky = scan_plan._Sky.of(all_hipparcos(), 2051.25)
+    p = sky.stars.places
+    begun, asked = erfa.epj2jd(p.epoch_jyear), erfa.epj2jd(2051.25)
+    ra, dec, *_ = erfa.pmsafe(p.ra_rad, p.dec_rad, p.pm_ra_rad_yr, p.pm_dec_rad_yr, 0, 0, *begun, *asked)
+    off = sky.u_i - erfa.s2c(ra, dec)
+    assert np.quantile(np.linalg.norm(off, axis=1), 0.999) < 1e-7  # rad; at a pole the motion is no arc
 
 
 def test_too_narrow_limits_are_an_error_that_says_so():

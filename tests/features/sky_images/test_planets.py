@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from astropy.coordinates import get_body
+from astropy.time import Time
 from frames import PLACES, WIDE, listed_stars
 from scipy.spatial.transform import Rotation
 
@@ -31,6 +33,9 @@ def test_jupiter_and_saturn_met_on_the_day_and_as_closely_as_published():
     assert arcmin(jupiter, saturn) == pytest.approx(6.1, abs=1.5)  # their errors of 80" each
     ra, dec = np.degrees(np.arctan2(jupiter[1], jupiter[0])) % 360.0, np.degrees(np.arcsin(jupiter[2]))
     assert ra == pytest.approx(302.5, abs=0.5) and dec == pytest.approx(-20.5, abs=0.2)
+    for name, direction in zip(names, u_i):  # light time moves them by 5" to 40", aberration by up to 20"
+        seen = get_body(name, Time("2020-12-21T18:20:00"), ephemeris="builtin").cartesian.xyz
+        assert np.linalg.norm(direction - seen / np.linalg.norm(seen)) < 5e-7, name  # rad, 0.1"
 
 
 def test_mars_passed_jupiter_as_closely_as_published():

@@ -18,7 +18,7 @@ from astropy.wcs import WCS
 from drawn_campaigns import squared
 from drawn_pictures import SERIES_COLOURS, kept_figures, numbers, shows_curves
 from matplotlib.quiver import QuiverKey
-from recorded_numbers import assert_recorded, columns_of
+from recorded_numbers import assert_recorded, columns_of, numbers_in
 from scipy.spatial.transform import Rotation
 
 from boresight.pipeline.report.panels import OURS
@@ -253,6 +253,8 @@ def test_a_camera_is_calibrated_and_then_known(folder, tmp_path):
     assert scale == pytest.approx(1.0, abs=4.0 * np.sqrt(content["covariance"][0][0]) / content["values"][0])
     found = bs.calibrate_star_camera(images, fov_deg=19.0)
     np.testing.assert_array_equal(found.fit.covariance, content["covariance"])
+    xy = found.table()[["x_px", "y_px", "residual_x_px", "residual_y_px"]]
+    np.testing.assert_array_equal(xy, np.hstack([found.fit.xy_px, found.fit.residual_px]))
     again = run("identify", "--json", "--camera", out, images[0])
     assert json.loads(again.stdout.splitlines()[0])["identified"]
 
@@ -520,6 +522,9 @@ def test_the_page_of_an_image_shows_its_detections_identified_or_not(folder, tmp
     assert f"{found['roll_deg']:.4f}° ± {found['roll_sigma_arcsec']:.1f}″" in page
     assert page.count('class="mark used"><title>HIP') == found["matches"]
     assert page.count("<figure") == 3 and 'src="http' not in page and 'href="http' not in page
+    figures = [one.partition("</figure>")[0] for one in page.split("<figure")[1:]]
+    drawn = {str(n): numbers_in(re.sub("[A-Za-z]", " ", one)) for n, one in enumerate(figures)}
+    assert_recorded("identify_page", drawn, relative=1e-3)
     other = (tmp_path / "page-<dark>.html").read_text("utf-8")
     assert "<h1>Not identified</h1>" in other and "<dark>" not in other
 
