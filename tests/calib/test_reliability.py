@@ -2,13 +2,14 @@
 as large.
 """
 
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from drawn_campaigns import BOLD, TABLE_1
+from recorded_numbers import assert_recorded, numbers_in
 from scipy.stats import binom, chi2, kstest, ncx2
 
 from boresight.calib.calibration import calibrate_strips
@@ -106,6 +107,42 @@ def test_an_error_is_measured_and_moves_the_matrix_as_predicted(n):
         if is_rival:
             return
         assert named.value == pytest.approx(size, abs=6.0 * named.sigma + 0.03 * size)
+
+
+@pytest.mark.parametrize("robust", [False, True])
+def test_every_number_of_examinations_is_the_recorded_one(robust):
+    """Of a clock beside a rotated CCD, a datum, a height beside targets that scatter, and of these alone."""
+    table, first, rng = {(h.cause, h.item): h for h in table_of(6)}, drawn(6), np.random.default_rng(2)
+
+    def scattered(strip, pixels, stray):
+        u_c = strip.ground.u_c + rng.normal(scale=pixels * CAMERAS.pixel_rad, size=(12, 3))
+        u_c[5] += [0.0, stray * CAMERAS.pixel_rad, 0.0]
+        u_c /= np.linalg.norm(u_c, axis=1, keepdims=True)
+        return replace(strip, ground=replace(strip.ground, u_c=u_c))
+
+    late = table["clock of the rows", "strip strip0001"], 30.0
+    rotated = table["rotation of a CCD", "CCD 1"], 1.5
+    datum = table["datum of the targets, east", "all strips"], 40.0
+    height = table["orbit or targets, height", "strip strip0002"], -300.0
+    blurred = [scattered(strip, 3.0, 0.0) for strip in first]
+    spoilt = {
+        "clock and CCD": injected(injected([scattered(first[0], 0.0, 90.0), *first[1:]], *late), *rotated),
+        "datum": injected(first, *datum),
+        "height": injected(first, *height),
+        "scatter": blurred,
+        "scatter of a strip": [first[0], blurred[1], first[2]],
+    }
+    found = {}
+    for name, strips in spoilt.items():
+        one = examined(strips, CalibrationSettings(robust=robust))[1]
+        found[f"{name}: rest"] = one.rest or ()
+        for row in (*one.tests, *one.findings, *one.suspects):
+            for field in fields(row):
+                value = getattr(row, field.name)
+                numbers = numbers_in(value) if field.name == "text" else np.ravel(value).tolist()
+                if numbers and isinstance(numbers[0], float) and field.name != "p_value":  # of the statistic
+                    found.setdefault(f"{name}: {type(row).__name__} {field.name}", []).extend(numbers)
+    assert_recorded(f"reliability_{robust}", found)
 
 
 def test_the_detectable_error_is_found_in_nine_of_ten():
