@@ -6,13 +6,14 @@ from functools import cache
 import numpy as np
 import pytest
 from drawn_campaigns import BOLD
-from scipy.stats import binom
+from scipy.stats import binom, chi2, norm
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.error_table import CommonBias
 from boresight.calib.estimate import InstallationEstimate
+from boresight.calib.heads import WithoutHead
 from boresight.calib.settings import CalibrationSettings
-from boresight.calib.verdict import Check, CheckKind, VerdictSettings, assess
+from boresight.calib.verdict import Check, CheckKind, VerdictSettings, _excess, assess
 from boresight.geometry.sightings import StripSightings
 from boresight.records.ledger import Entry, Kind, Reason, Subject
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
@@ -80,6 +81,12 @@ def test_bias_of_the_orbit_is_tested_in_its_covariance_without_the_clock() -> No
     share, four = share_beyond(5.0, 2, 1.1)
     assert found.p_value == pytest.approx(share, abs=four)
     assert [name for (name,) in found.names] == ["along +4 ± 2 m", "across +2.2 ± 1.7 m"]
+
+
+@pytest.mark.parametrize(("statistic", "dof"), [(30.0, 12), (60.0, 40), (150.0, 200)])
+def test_heads_are_compared_by_a_normal_deviate_as_likely_as_their_chi_square(statistic, dof):
+    found = _excess(WithoutHead(head="", chi2=statistic, dof=dof))
+    assert found == pytest.approx(norm.isf(chi2(dof).sf(statistic)), abs=0.02)  # of an approximation
 
 
 def test_many_rejected_targets_have_the_probability_of_as_many_or_more() -> None:
