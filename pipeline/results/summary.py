@@ -47,7 +47,7 @@ MOST_REASONS = 8
 UNNEEDED = (Reason.OUT_OF_VIEW, Reason.NOT_NEEDED, Reason.ATTITUDES_NOT_NEEDED, Reason.NO_TARGET)
 # Most blind spots that the console names, and the least effect of one; installation.json has all.
 MOST_BLIND, LEAST_EFFECT_RAD = 6, 0.005 * ARCSEC
-WHOLE_FROM, WHOLE_BELOW = 9.95, 1e6  # numbers that are told without decimals
+WHOLE_FROM, WHOLE_BELOW = 9.95, 1e6  # numbers that are stated without decimals
 REASON_WORDS: dict[str, str] = {  # of reasons that counts alone do not explain
     Reason.TARGET_RESIDUAL: "gross error",
     Reason.LOW_CORRELATION: "cloud or change",
