@@ -65,7 +65,7 @@ def assert_recorded(name: str, found: Mapping[str, ArrayLike], relative: float =
 
 
 def _alike(before: list[float], now: list[float], relative: float) -> bool:
-    size = relative * max(before[2], 1e-300)  # the rms
+    size = relative * max(before[2], abs(before[1]), 1e-300)  # the rms, which may be too small
     return before[0] == now[0] and all(abs(a - b) <= size for a, b in zip(before[1:], now[1:]))
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from recorded_numbers import assert_recorded, columns_of
 from scipy.spatial.transform import Rotation
 from wrong_vectors import R_TRUE, Given, drawn_vectors, nees_of
 
@@ -70,6 +71,10 @@ def test_a_wrong_focal_length_of_the_star_camera_is_named() -> None:
     found = bs.calibrate_vectors(*wrong)
     assert found.verdict == "refuted"
     assert found.findings["cause"].iloc[0] == "focal length of the star camera"
+    tables = {"findings ": found.findings, "checks ": found.checks, "blind ": found.blind_spots}
+    assert_recorded(
+        "vectors", {k: v for name, one in tables.items() for k, v in columns_of(one, name).items()}
+    )
 
 
 def with_nan(v: np.ndarray) -> np.ndarray:

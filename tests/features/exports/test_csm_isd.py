@@ -5,6 +5,7 @@ import pytest
 from astropy.time import Time
 from line_scanner import LineScanner
 from orbiting_camera import EPOCH, LINES, strip
+from recorded_numbers import assert_recorded, flat
 
 from boresight.features.exports.csm_isd import IsdNames, line_scanner_isds
 from boresight.geometry.terrain import ConstantHeight
@@ -62,6 +63,7 @@ def test_a_detector_with_strong_distortion_is_cut_and_one_without_is_not(pieces)
 
 
 def test_what_an_isd_reader_asks_for_is_there(pieces):
+    assert_recorded("isd", flat("", [piece.isd for of_ccd in pieces for piece in of_ccd]))
     # The keys that the ISD reader of the Abstraction Layer for Ephemerides takes without a default.
     isd = pieces[1][0].isd
     assert [isd[k] for k in ("image_identifier", "name_platform", "name_sensor")] == [

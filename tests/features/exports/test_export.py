@@ -17,6 +17,7 @@ from astropy.io import fits
 from command_line import invoked, ran
 from pyproj import CRS
 from pytest import approx
+from recorded_numbers import assert_recorded, flat, numbers_in
 from scipy.spatial.transform import Rotation
 
 from boresight.features.exports import formats
@@ -34,6 +35,7 @@ from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 MINI = Path(__file__).parents[3] / "fixtures" / "mini"
 
 
+OF_ORIGIN = re.compile("COMMENT|CREATION|[#;]")
 # test_dimap_product.py, test_gipp_product.py
 OF_ANY_DUMP = [name for name in FORMATS if name not in ("dimap", "gipp")]
 
@@ -218,12 +220,20 @@ def test_each_reader_shows_date_mission_dump_frames_validity_and_verdict(exporte
     created = json.loads((exported[0] / "targets.geojson").read_text())["boresight"]["created"]
     notes = notes_of(finished[1], finished[0], created.removesuffix("Z")).items()
     assert len(notes["valid"]) > 40 and notes["mission"] != notes["dump"]
+    numbers: dict[str, list[float]] = {}
     for path in exported[0].iterdir():
+        text = path.read_text(errors="replace").partition("\\begindata\n")
+        lines = [line for line in (text[2] or text[0]).splitlines() if not OF_ORIGIN.match(line)]
+        if path.suffix in (".json", ".geojson") and ".ccd" not in path.name:  # ISDs: test_csm_isd.py
+            numbers |= flat(path.name, json.loads(path.read_text()))
+        elif path.suffix not in (".bc", ".fits", ".json", ".kml", ".vrt"):
+            numbers[path.name] = numbers_in("\n".join(lines))
         if path.name.endswith("_RPC.TXT"):
             continue  # RPC00B has no place for it: it is in the VRT beside it
         shown = re.sub(r"[\s#;]+", "", read_notes(path).replace("COMMENT", ""))
         missing = [name for name, text in notes.items() if re.sub(r"[\s#;]+", "", text) not in shown]
         assert not missing, path.name
+    assert_recorded("exports", numbers)
 
 
 def test_gdal_reads_the_strips_with_their_gcps(exported, finished):

@@ -52,6 +52,8 @@ def test_attitudes_between_the_exported_ones_are_those_of_the_track(
 
 def test_a_jump_has_an_attitude_on_either_side() -> None:
     attitude = track(1e-6, "taylor")
-    t_s = instants_to_interpolate(attitude, 0.0, 10.0, 1e-9)
+    ends = attitude.breaks_s[[19, 119]] + [-1e-6, 1e-6]  # nearer to a break than attitudes lie apart
+    t_s = instants_to_interpolate(attitude, *ends, 1e-9)
+    assert t_s[[0, -1]].tolist() == ends.tolist()
     between = np.diff(t_s)[np.searchsorted(t_s, attitude.breaks_s[20:119]) - 1]
     assert between.max() < 4e-6 and np.diff(t_s).min() > 1e-6

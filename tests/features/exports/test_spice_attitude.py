@@ -89,6 +89,9 @@ def test_the_comment_area_is_read(ticks_and_instants, tmp_path):
     path.write_bytes(made.attitude_kernel(ticks, attitude(t_s), FRAMES, "S01", NOTE))
     handle = spiceypy.dafopr(str(path))
     n, lines, done = spiceypy.dafec(handle, 60, 200)
+    *_, free = spiceypy.dafrfr(handle)
+    spiceypy.dafbfs(handle)
+    assert spiceypy.daffna() and free == spiceypy.dafus(spiceypy.dafgs(), 2, 6)[1][-1] + 1  # after the data
     spiceypy.dafcls(handle)
     assert done and n == 41 and list(lines)[:41] == NOTE.splitlines()
 

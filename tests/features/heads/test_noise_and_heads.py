@@ -234,6 +234,7 @@ def test_alignment_clock_and_angle_are_the_drawn_ones_within_their_errors(dump, 
     off = (R_found * R_sh.inv()).as_rotvec()
     assert 0.05 < squared(off, C) < chi2(3).isf(1e-3)
     assert np.all(np.sqrt(np.diag(C)) < 4.0 * ARCSEC)
+    assert_recorded("heads", flat("", told), relative=5e-3)
     assert abs(found["time_offset_s"] - LATE_S) < 3.5 * found["sigma_time_offset_s"] < 8.75e-3
     (term,) = found["terms"]  # the second tracker does not move against the first
     assert term["per"] == "hour" and np.all(np.abs(term["rad"]) < 3.5 * np.array(term["sigma_rad"]))

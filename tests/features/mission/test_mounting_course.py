@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from drawn_campaigns import assert_chi_square, squared
 from drawn_mission import DrawnMission, Truth, joint_information, lopsided_pair
+from recorded_numbers import assert_recorded, flat
 from scipy.stats import binom, chi2
 
 from boresight.features.mission.mounting_course import (
@@ -159,6 +160,7 @@ def test_the_walk_goes_on_before_the_first_result_and_after_the_last():
     walk = np.cumsum(rng.normal(0.0, ARCSEC, (20, 3)), axis=0)
     course = estimate_course(DrawnMission(PAIR, rng).series(t_s, walk))
     assert course.walks and course.terms == () and not course.steps
+    assert_recorded("walk", flat("", course.content()), relative=2e-3)
     at = np.array([-3.0 * DAY_S, 0.0, t_s[-1], t_s[-1] + 5.0 * DAY_S])
     theta, covariance = course.at(at)
     np.testing.assert_array_equal(theta[[0, 3]], theta[[1, 2]])

@@ -13,6 +13,7 @@ from astropy.wcs import WCS
 from command_line import ran
 from frames import Sensor, star_frame
 from PIL import Image, ImageDraw, ImageFont
+from recorded_numbers import assert_recorded
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.geodesy import unit_vectors
@@ -90,6 +91,8 @@ def test_a_small_image_is_enlarged_and_its_rings_lie_about_its_stars(tmp_path, m
     ran("identify", tmp_path / "small.png", "--fov", 18.7, "--overlay", tmp_path / "o.png")
     picture = np.asarray(Image.open(tmp_path / "o.png")).astype(int)
     assert picture.shape == (900, 1200, 3)  # three times, the longer side then has 960 px at least
+    coloured = np.abs(np.diff(picture, axis=2)).sum(axis=2)
+    assert_recorded("overlay", {"columns": coloured.sum(axis=0), "rows": coloured.sum(axis=1)}, relative=1e-3)
     off = []
     for at in (truth.xy_px[np.argsort(-truth.flux_dn, kind="stable")[:20]] + 0.5) * 3.0 - 0.5:
         x, y = np.rint(at).astype(int)

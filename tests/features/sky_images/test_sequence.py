@@ -12,6 +12,7 @@ import tomlkit
 from command_line import invoked, ran
 from drawn_campaigns import assert_chi_square, squared
 from frames import Sensor, star_frame
+from recorded_numbers import assert_recorded, columns_of
 from rendered_sequences import CAMERA, EXPOSURE_S, errors_of, places_of, sequence
 from scipy.spatial.transform import Rotation
 
@@ -81,6 +82,7 @@ def test_the_table_has_a_row_a_frame(slew) -> None:
     table = found.table()
     assert len(table) == len(found) and tuple(table["state"]) == found.state
     assert "tracked" in repr(found)
+    assert_recorded("tracked", columns_of(table.drop(columns="cpu_ms")), relative=1e-3)
     with pytest.raises(ValueError, match="lost"):
         found.R_si(found.state.index("lost"))
 

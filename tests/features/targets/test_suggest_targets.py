@@ -6,7 +6,9 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
+import pandas as pd
 import pytest
 import rasterio
 from command_line import invoked, ran
@@ -14,6 +16,7 @@ from edits import rows_of
 from fixture_strips import FIXTURE, strip_of_fixture
 from pyproj import Transformer
 from rasters import write_raster
+from recorded_numbers import assert_recorded, columns_of, numbers_in
 
 from boresight.features.targets.ortho_files import RasterWindow, open_raster, read_heights
 from boresight.geometry.geoid import egm96
@@ -47,9 +50,17 @@ def dem(path: Path) -> Path:
     return write(path, rows.astype(np.float32), crs="EPSG:4326", transform=transform)
 
 
-def suggested(out: Path, *arguments: object, size_px: int = 64) -> list[dict[str, str]]:
-    ran("targets", "suggest", *arguments, "--out", out, "--size-px", size_px, "--most", 6)
-    return rows_of(out / "targets.csv")
+def suggested(out: Path, *arguments: object, size_px: int = 64, recorded: str = "") -> list[dict[str, str]]:
+    told = ran("targets", "suggest", *arguments, "--out", out, "--size-px", size_px, "--most", 6)
+    rows = rows_of(out / "targets.csv")
+    (out / "told.txt").write_text(told.output)
+    if recorded:
+        chips = [cv2.imread(str(out / row["chip"]), cv2.IMREAD_UNCHANGED).mean() for row in rows]
+        found = columns_of(pd.read_csv(out / "targets.csv")) | {"chips": chips}
+        printed = [numbers_in(line) for line in told.output.splitlines() if " -> " not in line]
+        found |= {f"printed {n}": np.array(values) for n, values in enumerate(zip(*printed[:6]))}
+        assert_recorded(f"targets_{recorded}", found | {"told of all": printed[6]}, relative=5e-4)
+    return rows
 
 
 def test_heights_of_a_dem_are_stated_as_the_dump_wants_them(tmp_path: Path) -> None:
@@ -136,7 +147,7 @@ def test_places_that_changed_between_two_dates_are_avoided(tmp_path: Path) -> No
     new, old = texture(1), texture(1)
     old[:, :250] = texture(9)[:, :250]  # the western half has changed
     images = write(tmp_path / "new.tif", new), write(tmp_path / "old.tif", old, east=4e5 + PIXEL_M)
-    rows = suggested(tmp_path / "t", *images, "--height-m", 300)
+    rows = suggested(tmp_path / "t", *images, "--height-m", 300, recorded="of_dates")
     east = Transformer.from_crs(4326, EPSG, always_xy=True).transform(
         [float(row["lon_deg"]) for row in rows], [float(row["lat_deg"]) for row in rows]
     )[0]
@@ -205,8 +216,11 @@ def at_a_strip(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 def test_the_folder_goes_into_the_dump(at_a_strip: tuple[Path, Path], tmp_path: Path) -> None:
     dump, ortho = at_a_strip
     terrain = dump / "terrain" / "dem.tif"
-    rows = suggested(tmp_path / "t", ortho, "--dem", terrain, "--dump", dump, size_px=40)
+    rows = suggested(tmp_path / "t", ortho, "--dem", terrain, "--dump", dump, size_px=40, recorded="of_strip")
     assert 1 <= len(rows) <= 6
+    # from 530 km: 2 m of the orbit, 0.8 m of the clock and at most 2.3 m of targets with one error in common
+    x_y = np.radians(numbers_in((tmp_path / "t/told.txt").read_text().split("arcsec")[1])[:2]) / 3600.0
+    assert np.all(530e3 * x_y > 2.0) and np.all(530e3 * x_y < 3.1)
     shutil.rmtree(dump / "chips")
     shutil.copytree(tmp_path / "t" / "chips", dump / "chips")
     shutil.copy(tmp_path / "t" / "targets.csv", dump / "targets.csv")
