@@ -42,6 +42,13 @@ def numbers_in(text: str) -> list[float]:
     return [float(one) for one in NUMBER.findall(text)]
 
 
+def numbers_by_line(text: str) -> dict[str, list[float]]:
+    """Those of each line apart: a small number does not vanish beside large ones."""
+    return {
+        f"line {n:03d}": numbers for n, line in enumerate(text.splitlines()) if (numbers := numbers_in(line))
+    }
+
+
 def columns_of(table: pd.DataFrame, name: str = "") -> dict[str, np.ndarray]:
     """The columns of a table that hold numbers."""
     found = table.select_dtypes(["number", "bool"])

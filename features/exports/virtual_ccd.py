@@ -206,7 +206,7 @@ class VirtualStrip:
         `n_lines` has the number of lines of each raw image; a CCD that is not in it has none.
         """
         image: Image = np.full((lines[1] - lines[0], self.width_px), np.nan, dtype=np.float32)
-        for ccd, begin, end in self.seams(0.5 * (lines[0] + lines[1])):
+        for ccd, begin, end in self.seams(float(np.mean(lines))):
             first, last = max(0, int(np.ceil(begin))), min(self.width_px, int(np.ceil(end)))
             for top in range(lines[0], lines[1], _BLOCK_LINES):
                 bottom = min(top + _BLOCK_LINES, lines[1])

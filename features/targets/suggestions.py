@@ -329,7 +329,7 @@ def _of_tile(
 
 def _is_as_fine(other: RasterFile, ortho: RasterFile) -> bool:
     """Whether pixels of an image are small enough for places of `ortho` to be matched in it."""
-    sides = [_side(_pixel_m(one, 0.5 * one.shape[1], 0.5 * one.shape[0])) for one in (other, ortho)]
+    sides = [_side(_pixel_m(one, 0.0, 0.0)) for one in (other, ortho)]
     return sides[0] <= COARSEST * sides[1]
 
 

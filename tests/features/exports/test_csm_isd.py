@@ -7,6 +7,7 @@ from line_scanner import LineScanner
 from orbiting_camera import EPOCH, LINES, strip
 from recorded_numbers import assert_recorded, flat
 
+from boresight.features.exports import csm_isd
 from boresight.features.exports.csm_isd import IsdNames, line_scanner_isds
 from boresight.geometry.terrain import ConstantHeight
 
@@ -50,7 +51,7 @@ def test_ground_500_m_higher_moves_by_less_than_a_hundredth_of_a_pixel(pieces):
         assert nearest_px(p_e[n], *model.ray(line[n] + 0.5, sample[n] + 0.5)) < 0.01
 
 
-def test_a_detector_with_strong_distortion_is_cut_and_one_without_is_not(pieces):
+def test_a_detector_with_strong_distortion_is_cut_and_one_without_is_not(pieces, monkeypatch):
     assert len(pieces[0]) > 1
     assert pieces[0][0].suffix == f"ccd0.samples-00000-{pieces[0][0].stop_sample - 1:05d}"
     assert len(pieces[1]) == 1 and pieces[1][0].suffix == "ccd1"
@@ -60,6 +61,9 @@ def test_a_detector_with_strong_distortion_is_cut_and_one_without_is_not(pieces)
     covered = [n for p in cut for n in range(p.first_sample, p.stop_sample)]
     assert covered == list(range(2048))
     assert all(p.isd["boresight"]["model_error_px"] < 0.01 for p in cut)
+    monkeypatch.setattr(csm_isd, "SMALLEST_PIECE_PX", cut[-1].stop_sample - cut[-1].first_sample + 1)
+    fewer = line_scanner_isds(strip(), EPOCH, 0, LINES, HEIGHT_M, NAMES)
+    assert [p.stop_sample for p in fewer[:-1]] == [*(p.stop_sample for p in cut[:-2]), 2048]
 
 
 def test_what_an_isd_reader_asks_for_is_there(pieces):

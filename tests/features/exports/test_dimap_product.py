@@ -112,8 +112,13 @@ def test_calibrated_product_is_exported_and_another_one_is_refused(tmp_path):
     # noiseless points: what is left is the pull of the priors on the other unknowns
     assert np.linalg.norm(found - expected, axis=1).max() < 0.05  # m, of 12
     other = tmp_path / "other.xml"
-    other.write_text(dimap_text().replace("<NROWS>9000<", "<NROWS>9001<"))
-    for options in ((), ("--product", other)):
+    earlier = "18-12-26T10:48:55.4490000Z", "18-12-26T10:48:55.4480000Z"
+    for changed, options in (
+        (("<NROWS>9000<", "<NROWS>9001<"), ()),
+        (("<NROWS>9000<", "<NROWS>9001<"), ("--product", other)),
+        (earlier, ("--product", other)),
+    ):
+        other.write_text(dimap_text().replace(*changed))
         run(*asked, *options, status=1)
 
 

@@ -63,6 +63,13 @@ def test_the_corrected_camera_looks_where_the_parameters_say(tables, turned_rad)
         np.testing.assert_allclose(change, told, rtol=0, atol=2e-8)  # 0.02 px: second order in 1e-3 and 20 px
 
 
+def test_detectors_at_one_place_of_the_field_have_one_distortion():
+    both = InteriorModel.of(replace(camera(), ccds=(camera().ccds[1],) * 2), InteriorPriors())
+    curves = [n for n, name in enumerate(both.names) if name.startswith("curve_along/")]
+    one, other = np.split(both.basis[curves], 2)
+    assert np.abs(one - other).max() < 1e-3 and np.abs(one).max() > 0.1  # px
+
+
 def test_the_gauge_leaves_nothing_that_a_rotation_does():
     model = InteriorModel.of(camera(), InteriorPriors())
     values = model.basis @ np.random.default_rng(4).standard_normal(model.basis.shape[1])
