@@ -11,7 +11,7 @@ from command_line import invoked, ran
 from drawn_campaigns import squared
 from drawn_mission import DrawnMission, Truth, bare_result, lopsided_pair
 from killed_writers import kill_writers
-from recorded_numbers import assert_recorded, flat, numbers_in
+from recorded_numbers import assert_recorded, flat, numbers_by_line
 
 from boresight.features.mission.archive import add_mounting, add_results, series_of
 from boresight.features.mission.mounting_course import YEAR_S
@@ -155,8 +155,8 @@ def test_trends_tell_step_prediction_and_alarm(tmp_path):
         y, value = np.array(re.findall(r'd="M64,([\d.]+)H948"/><text[^>]*>([^<]+)<', picture), dtype=float).T
         assert 3 <= len(y) <= 7 and 12.0 <= y.min() and y.max() <= 222.0 and np.ptp(y) > 105.0
         assert np.diff(y) == pytest.approx(np.ptp(y) / np.ptp(value) * -np.diff(value), abs=0.11)  # px
-    drawn = {"drawn": numbers_in("".join(page.split("<svg")[1:4]))}
-    assert_recorded("trends", flat("", content) | drawn, relative=1e-3)
+    drawn = re.sub(r"(?=<(?:path|g|a|text)\b)", "\n", page.partition("<svg")[2].partition("</svg>")[0])
+    assert_recorded("trends", flat("", content) | numbers_by_line(drawn), relative=1e-3)
     assert "does not reach what is required" in ran(*asked, "--require-arcsec", 0.001, status=4).output
     assert "a step in the last 90 days" in ran(*asked[:-1], step["utc"], status=4).output
 
