@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from recorded_numbers import assert_recorded
 
 from boresight.features.paper.inputs import inputs
 from boresight.features.paper.vector_experiments import ExperimentSettings
@@ -22,6 +23,8 @@ def test_each_error_of_table_1_has_its_size_on_the_ground(table: pd.DataFrame):
 
 
 def test_tables_2_and_3_are_those_of_the_scenario(table: pd.DataFrame):
+    each = {" ".join(key): part["ours"] for key, part in table.groupby(["source", "item"])}
+    assert_recorded("inputs", each, relative=2e-5)  # half a pixel of a field of view
     rows = table[table["source"].isin(["Table 2", "Table 3"]) & table["at"].isna()]
     settings = rows[~rows["item"].str.startswith("field")]
     np.testing.assert_allclose(settings["ours"], settings["paper"], rtol=1e-15)  # one rounding of a unit

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from command_line import invoked
 from edits import replaced
-from recorded_numbers import assert_recorded, numbers_by_line
+from recorded_numbers import assert_recorded, flat, numbers_by_line
 
 from boresight.features.targets.dump_check import DumpCheck, TargetCheck, _of_cameras
 from boresight.pipeline.errors import RawDataError
@@ -112,6 +112,7 @@ def test_a_sound_dump_shows_footprints_and_the_nearest_miss_of_every_target(one_
     # 55.5 km along the meridian, 10 degrees off the track; the strip is 13 km long
     assert 40e3 < far["along_m"] < 56e3 and far["along_s"] == pytest.approx(far["along_m"] / 7e3, rel=0.05)
     assert sum(one["seen_by"] == ["s01"] for one in others) >= 8
+    assert_recorded("dump_check", flat("", found) | numbers_by_line(page.read_text().partition("<body")[2]))
     assert "<svg" in page.read_text() and not re.search(r"https?://(?!www.w3.org)", page.read_text())
     next((one_strip / "exposures").glob("*.png")).unlink()
     status, text = run("dump", "check", one_strip)
