@@ -159,14 +159,14 @@ def _psf(image: NDArray[Any], stars: StarList) -> Drawing | None:
     usable = np.flatnonzero(~stars.saturated & ~stars.blended)
     some = usable[np.argsort(-stars.snr[usable], kind="stable")][:STARS_OF_PSF]
     radius = max(4, int(np.ceil(PSF_SIGMAS * stars.psf.sigma_px + stars.psf.reach_px)))
-    if len(some) == 0 or min(image.shape) <= 2 * radius + 1:
+    side = 2 * radius + 1
+    if len(some) == 0 or min(image.shape) <= side:
         return None
     xy, flux = stars.xy_px[some], stars.flux_dn[some]
     pixels = np.rint(xy).astype(np.int64)
     windows = star_windows(image, pixels, stars.background, radius, stars.saturation_dn)
     model = images_at(stars.psf, windows.middles, windows.offsets(xy), stars.psf.sigma_at(xy), radius).value
     weight = (flux / flux.sum())[:, None]
-    side = 2 * radius + 1
     mean = (weight * windows.data / flux[:, None]).sum(axis=0).reshape(side, side)
     fitted = (weight * model).sum(axis=0).reshape(side, side)
     figure, top, reach = Figure(1.95, above=15.0), float(mean.max()), radius + 0.5
