@@ -62,7 +62,9 @@ def test_what_limits_an_axis_is_what_helps_most_when_it_is_gone(few_draws: None)
     of_x = found.without[found.without["axis"] == "X"].set_index("source")["sigma_arcsec"]
     assert of_x.idxmin() == "position" and of_x["position"] < 0.2 * of_x["all errors"]
     assert np.all(of_x <= 1.001 * of_x["all errors"])  # less error is never worse, but for rounding
-    assert_recorded("plan_limits", columns_of(found.without, "without ") | columns_of(found.by_targets, "by "))
+    assert_recorded(
+        "plan_limits", columns_of(found.without, "without ") | columns_of(found.by_targets, "by ")
+    )
     assert not len(found.campaigns)  # of the ground alone there is nothing to compare
 
 

@@ -1,6 +1,5 @@
 """Scans of the sky: clear of Sun, Moon and Earth by astropy's places; the choice is better than chance."""
 
-import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from astropy.time import Time
 from command_line import invoked, ran
 from drawn_pictures import SERIES_COLOURS, kept_figures, numbers, shows_curves
 from handmade import ATTITUDE_HEAD, give_heads
-from recorded_numbers import assert_recorded, columns_of
+from recorded_numbers import assert_recorded, columns_of, numbers_by_line
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
@@ -141,7 +140,7 @@ def test_the_command_writes_its_table_and_picture(tmp_path):
     header, *rows = (tmp_path / "scans.csv").read_text().splitlines()
     assert header.startswith("scan,utc,ra_deg,dec_deg") and len(rows) == 2
     table = pd.read_csv(tmp_path / "scans.csv")
-    assert_recorded("scans", columns_of(table))
+    assert_recorded("scans", columns_of(table) | numbers_by_line(told.output.replace(str(tmp_path), "")))
     sky, steps = figures[0].axes
     drawn = np.ravel([line.get_data() for line in sky.lines[:2]])
     assert np.allclose(drawn, table[["ra_deg", "dec_deg"]].to_numpy().ravel())
@@ -150,18 +149,10 @@ def test_the_command_writes_its_table_and_picture(tmp_path):
         seen = SkyCoord(*np.ravel(line.get_data()) * u.deg)
         x = get_body(name, when).cartesian.xyz.value
         assert seen.separation(SkyCoord(*x, representation_type="cartesian")).deg < 0.02
-    lines = [line for line in told.output.splitlines() if re.match(r" +\d+  20\d\d-", line)]
     for n, axis in enumerate("xyz"):
         sigma = table[f"sigma_{axis}_arcsec"]
         assert np.allclose(steps.lines[n].get_data(), [[1, 2], sigma])
-    further = [line for line in told.output.splitlines() if re.match(r" +\d+ +\d+ +\d+ +\d+ +", line)]
-    for row, line, other in zip(table.itertuples(), lines, further, strict=True):
-        stated = [row.ra_deg, row.dec_deg, row.scan_angle_deg, row.rate_mrad_s, row.stars]
-        assert numbers(line)[-5:] == pytest.approx(stated, abs=0.051)
-        printed = numbers(other)
-        assert printed[1:4] == pytest.approx([row.sun_deg, row.moon_deg, row.limb_deg], abs=0.51)
-        sigma = [row.sigma_x_arcsec, row.sigma_y_arcsec, row.sigma_z_arcsec]
-        assert printed[4:] == pytest.approx(sigma, abs=5.1e-5)
+    for row in table.itertuples():
         # The attitude beside them: z of frame c to its right ascension, x turned from north to east.
         R_ci = Rotation.from_quat([row.qx_ci, row.qy_ci, row.qz_ci, row.qw_ci]).as_matrix()
         z, x = (SkyCoord(*one, representation_type="cartesian") for one in (R_ci[2], R_ci[0]))
