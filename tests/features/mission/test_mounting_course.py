@@ -30,6 +30,9 @@ def test_terms_and_steps_of_three_years_are_recovered_and_the_prediction_is_hone
         truth = Truth(rng)
         course = estimate_course(truth.series(PAIR, rng))
         assert course.terms == ("annual", "orbit phase")
+        dates = {"dates": np.array([step.interval_s for step in course.steps]) - truth.t_s[0]}
+        if seed < 2:
+            assert_recorded(f"course_{seed}", flat("", course.content()) | dates, relative=2e-3)
         dated += any(abs(step.row - truth.rows[0]) <= 1 for step in course.steps)
         for term, expected in (("annual", truth.annual), ("orbit phase", truth.orbit)):
             values, covariance = course.of_term(term)

@@ -100,6 +100,11 @@ def test_scans_keep_both_cameras_away_and_beat_chance():
     assert np.radians(np.array(numbers(told)) / 3600.0) == pytest.approx(found.random_sigma_rad, abs=2.6e-9)
 
 
+def test_an_axis_that_nothing_tells_has_the_limit_as_its_sigma():
+    found = scan_plan._covariance(np.diag([4e10, 1e10, 0.0]), np.zeros((0, 0)), CalibrationSettings())
+    np.testing.assert_allclose(found, np.diag([2.5e-11, 1e-10, 1e-6]), rtol=1e-12)  # rad²; 1e-3 rad
+
+
 def test_a_head_that_delivers_attitudes_counts_by_their_covariance():
     worse = replace(CAMERAS, star=np.diag([5e-6, 5e-6, 5e-5]) ** 2)  # rad: 1 and 10 arcsec an attitude
     asked = ScanSettings(candidates=30, count=2)
