@@ -4,6 +4,7 @@ import csv
 import io
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace as Of
 
 import cv2
 import numpy as np
@@ -21,12 +22,14 @@ from boresight.features.sky_images.identify_images import sky_index
 from boresight.features.sky_images.tracking import (
     CameraMotion,
     StarFix,
+    _psf_now,
     motion_of_fix,
     predicted_motion,
     with_fix,
 )
 from boresight.geometry.constants import ARCSEC
 from boresight.pipeline.files.star_side import star_camera_table
+from boresight.star_id.finding.psf import Psf
 from boresight.star_id.settings import StarSettings
 
 INDEX = sky_index(CAMERA, None, StarSettings())
@@ -85,6 +88,13 @@ def test_the_table_has_a_row_a_frame(slew) -> None:
     assert_recorded("tracked", columns_of(table.drop(columns="cpu_ms")), relative=1e-3)
     with pytest.raises(ValueError, match="lost"):
         found.R_si(found.state.index("lost"))
+
+
+@pytest.mark.parametrize(("trail_px", "has_one"), [(0.35, False), (0.45, True)])  # 0.2 of the star's sigma
+def test_a_trail_far_shorter_than_a_star_is_left_out(trail_px: float, has_one: bool) -> None:
+    rate = np.array([trail_px * CAMERA.pixel_m / CAMERA.focal_m, 0.0, 0.0])
+    found = _psf_now(Psf(2.0, 2.0, (0.0, 0.0), 1024, 1024), Of(rate_s=rate), CAMERA, 1.0)
+    assert np.hypot(*found.smear_px) == pytest.approx(trail_px * has_one, rel=1e-2)
 
 
 def test_times_must_increase() -> None:

@@ -27,6 +27,8 @@ def test_lakes_and_repeated_patterns_are_left_out(invented: NDArray):
     for target in found:
         assert 300 - 32 < target.column < 600 + 32  # a chip may reach over the border by its half
         assert target.sigma_px < 0.02
+    faint = 0.02 * invented[:600, :900] + np.random.default_rng(1).normal(0.0, 1.0, image.shape)
+    assert not suggest_targets(faint, TRANSFORM, np.ones(image.shape, dtype=bool), size_px=64, most=6)
 
 
 def test_best_comes_first(invented: NDArray):
