@@ -76,7 +76,6 @@ def test_what_an_isd_reader_asks_for_is_there(pieces):
         "TESTCAM",
     ]
     assert isd["name_model"] == "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL"
-    assert (isd["image_lines"], isd["image_samples"]) == (LINES, 2048)
     assert isd["radii"] == {"semimajor": 6378.137, "semiminor": pytest.approx(6356.752314), "unit": "km"}
     for key in ("body_rotation", "instrument_pointing"):
         assert {"ephemeris_times", "quaternions", "angular_velocities", "reference_frame"} <= set(isd[key])

@@ -100,7 +100,7 @@ def test_estimated_noise_is_the_drawn_one_within_its_error(noise):
     assert_recorded("noise", flat("", told) | numbers_by_line(text), relative=5e-3)  # the search's own end
 
 
-def test_every_printed_number_is_that_for_programs(noise):
+def test_noise_in_toml_and_json_is_that_for_programs(noise):
     text, told, out, _ = noise
     white = numbers(next(line for line in text.splitlines() if line.startswith("white noise alone: refuted")))
     assert np.allclose(white, [told["white_statistic"], chi2.sf(told["white_statistic"], 12)], rtol=0.05)
