@@ -100,8 +100,22 @@ def test_estimated_noise_is_the_drawn_one_within_its_error(noise):
     assert_recorded("noise", flat("", told) | numbers_by_line(text), relative=5e-3)  # the search's own end
 
 
-def test_noise_in_toml_and_json_is_that_for_programs(noise):
+def test_every_printed_number_is_that_for_programs(noise):
     text, told, out, _ = noise
+    rows = [numbers(line) for line in text.splitlines()[1:] if line.startswith("  ")]
+    per_head = iter(rows)
+    for head in told["heads"]:
+        sigma = np.array(head["sigma_log"])
+        for k, key in enumerate(("white_arcsec", "correlated_arcsec", "correlation_time_s")):
+            values = np.array(head[key])
+            printed = np.reshape(next(per_head)[-6:], (3, 2))
+            assert np.allclose(printed, np.column_stack([values, values * sigma[:, k]]), atol=0.0051)
+        assert np.allclose(next(per_head)[-3:], 100.0 * np.array(head["told_apart"]), atol=0.51)
+        constant = next(per_head)
+        assert np.allclose(constant[-3:], head["constant_arcsec"], atol=0.0051) and constant[0] == 11.0
+        assert np.allclose(next(per_head), head["constant_time_s"], atol=0.51)
+    for key in ("scatter_arcsec", "predicted_arcsec", "predicted_white_arcsec"):
+        assert np.allclose(next(per_head), told[key], atol=0.00051)
     white = numbers(next(line for line in text.splitlines() if line.startswith("white noise alone: refuted")))
     assert np.allclose(white, [told["white_statistic"], chi2.sf(told["white_statistic"], 12)], rtol=0.05)
     tables = tomllib.loads(

@@ -151,6 +151,10 @@ def test_trends_tell_step_prediction_and_alarm(tmp_path):
     assert squared(error, np.array(calibration["covariance_rad2"])) < 16.3  # chi2(3), 0.1 %
     page = (tmp_path / "t" / "trends.html").read_text()
     assert page.count("<a href=") >= 3 * 59 and "refuted" in page and "report.html" in page
+    for picture in page.split("<svg")[1:4]:  # marks of the axis: evenly from top to bottom of the panel
+        y, value = np.array(re.findall(r'd="M64,([\d.]+)H948"/><text[^>]*>([^<]+)<', picture), dtype=float).T
+        assert 3 <= len(y) <= 7 and 12.0 <= y.min() and y.max() <= 222.0 and np.ptp(y) > 105.0
+        assert np.diff(y) == pytest.approx(np.ptp(y) / np.ptp(value) * -np.diff(value), abs=0.11)  # px
     drawn = re.sub(r"(?=<(?:path|g|a|text)\b)", "\n", page.partition("<svg")[2].partition("</svg>")[0])
     said = re.sub(r"<(svg|style|footer|head)\b.*?</\1>|<[^>]+>", " ", page, flags=re.DOTALL)
     assert_recorded("trends", flat("", content) | numbers_by_line(drawn + said), relative=1e-3)

@@ -5,7 +5,9 @@ import pandas as pd
 import pytest
 from recorded_numbers import assert_recorded
 
+from boresight.features.paper.comparison import compare_inputs
 from boresight.features.paper.inputs import inputs
+from boresight.features.paper.plots import plot_inputs
 from boresight.features.paper.vector_experiments import ExperimentSettings
 
 
@@ -39,3 +41,9 @@ def test_values_of_the_text_follow_from_printed_inputs_alone(table: pd.DataFrame
     ours = table[table["source"] == "text"]["ours"]
     sigma = 3.0 * 0.05 * np.degrees(6.4e-5) * 3600.0 / np.sqrt(30.0)  # 30 stars, pixels of 6.4 um at 100 mm
     np.testing.assert_allclose(ours, [0.53, 0.2 * 1250.0 / 530.0, sigma], rtol=0.005)  # a field of 18 degrees
+
+
+def test_text_and_picture_hold_the_printed_values(table: pd.DataFrame):
+    text = "\n".join(compare_inputs(table))
+    assert all(value in text for value in ("2.29e-05", "-4.25e-09", "1077.2", "6144"))
+    assert len(plot_inputs(table).axes) == 3

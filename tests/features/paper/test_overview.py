@@ -148,3 +148,43 @@ def test_waves_are_those_stated_and_their_residuals_those_of_a_polynomial(tables
         wave = part["wave_arcsec"].to_numpy()
         poly = np.polynomial.Legendre.fit(part["t_s"], wave, order)
         assert np.allclose(part["residual_arcsec"], wave - poly(part["t_s"].to_numpy()), atol=1e-6)
+
+
+def test_printed_table_4_has_the_rms_of_its_rows(tables, folder) -> None:
+    table, text = tables["table4"], (folder / "table4.txt").read_text(encoding="utf-8")
+
+    def rms(method: str, axis: str, column: str) -> float:
+        rows = table[(table["method"] == method) & (table["axis"] == axis)]
+        return float(np.sqrt(np.mean(rows[column] ** 2)))
+
+    lines = text.splitlines()
+    at = next(k for k, line in enumerate(lines) if line.startswith("axis     ours"))
+    for line, axis in zip(lines[at + 1 : at + 4], "XYZ"):
+        expected = [rms("information", axis, f"{key}_arcsec") for key in ("rms", "bound", "paper")]
+        expected += [rms("wang", axis, "rms_arcsec"), rms("strips", axis, "rms_arcsec")]
+        expected += [rms("strips", axis, "bound_arcsec"), rms("wang", axis, "paper_arcsec")]
+        assert line.startswith(axis)
+        assert [float(one) for one in re.findall(r"\d+\.\d+", line)] == pytest.approx(expected, abs=5.1e-5)
+    gains = next(k for k, line in enumerate(lines) if line.startswith("Wang's error over ours"))
+    for line, axis in zip(lines[gains + 1 : gains + 4], "XYZ"):
+        wang = rms("wang", axis, "rms_arcsec")
+        ratio = [wang / rms(one, axis, "rms_arcsec") for one in ("information", "strips")]
+        ratio.append(rms("wang", axis, "paper_arcsec") / rms("information", axis, "paper_arcsec"))
+        assert [float(one) for one in re.findall(r"\d+\.\d+", line)] == pytest.approx(ratio, abs=0.051)
+
+
+def test_printed_table_5_has_its_rows_and_their_mean_gain(tables, folder) -> None:
+    table, text = tables["table5"], (folder / "table5.txt").read_text(encoding="utf-8")
+    rows = table.pivot_table(index=["sigma_s_px", "direction"], columns="method", values=["rms_m", "paper_m"])
+    floor = table.groupby(["sigma_s_px", "direction"])["floor_m"].first()
+    printed = re.findall(r"^  (0\.\d+)  (\w+) +(\S+) +(\S+) +(\S+) \| +(\S+) +(\S+)$", text, re.MULTILINE)
+    assert len(printed) == len(rows) == 22
+    for sigma, direction, *values in printed:
+        row = rows.loc[(float(sigma), direction)]
+        expected = [row["rms_m"]["information"], row["rms_m"]["wang"], floor[(float(sigma), direction)]]
+        expected += [row["paper_m"]["information"], row["paper_m"]["wang"]]
+        assert [float(value) for value in values] == pytest.approx(expected, abs=5.1e-3)
+    gain = [float((rows[key]["wang"] - rows[key]["information"]).mean()) for key in ("rms_m", "paper_m")]
+    found = re.search(r"(\d+) check points a run; gain .* ours (\S+) m, paper (\S+) m", text)
+    assert found is not None and found[1] == "20"
+    assert [float(found[2]), float(found[3])] == pytest.approx(gain, abs=5.1e-3)

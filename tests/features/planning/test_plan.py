@@ -62,6 +62,8 @@ def test_what_limits_an_axis_is_what_helps_most_when_it_is_gone(few_draws: None)
     of_x = found.without[found.without["axis"] == "X"].set_index("source")["sigma_arcsec"]
     assert of_x.idxmin() == "position" and of_x["position"] < 0.2 * of_x["all errors"]
     assert np.all(of_x <= 1.001 * of_x["all errors"])  # less error is never worse, but for rounding
+    of_z = found.by_targets[found.by_targets["axis"] == "Z"]["sigma_arcsec"].to_numpy()
+    assert of_z[-1] < 0.5 * of_z[0]
     assert_recorded(
         "plan_limits", columns_of(found.without, "without ") | columns_of(found.by_targets, "by ")
     )
@@ -100,6 +102,7 @@ def test_campaigns_of_ground_and_sky_are_compared(few_draws: None):
     sigma = found.campaigns.pivot(index="campaign", columns="axis", values="sigma_arcsec")
     assert sigma.loc["sky", "X"] < 0.2 * sigma.loc["ground", "X"]  # no position error
     assert (sigma.loc["both"] <= 1.05 * sigma.min()).all()  # but for the draws of the strips
+    assert "2 strips of the sky" in found.text
     assert_recorded("plan_sky", columns_of(found.campaigns) | numbers_by_line(found.text))
     # The strips of the ground alone are those of the table, and those of which one error after the other is
     # left out: one value on one screen, but for the fit of the attitudes, which all strips share.

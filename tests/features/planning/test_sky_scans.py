@@ -1,5 +1,6 @@
 """Scans of the sky: clear of Sun, Moon and Earth by astropy's places; the choice is better than chance."""
 
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -154,10 +155,18 @@ def test_the_command_writes_its_table_and_picture(tmp_path):
         seen = SkyCoord(*np.ravel(line.get_data()) * u.deg)
         x = get_body(name, when).cartesian.xyz.value
         assert seen.separation(SkyCoord(*x, representation_type="cartesian")).deg < 0.02
+    lines = [line for line in told.output.splitlines() if re.match(r" +\d+  20\d\d-", line)]
     for n, axis in enumerate("xyz"):
         sigma = table[f"sigma_{axis}_arcsec"]
         assert np.allclose(steps.lines[n].get_data(), [[1, 2], sigma])
-    for row in table.itertuples():
+    further = [line for line in told.output.splitlines() if re.match(r" +\d+ +\d+ +\d+ +\d+ +", line)]
+    for row, line, other in zip(table.itertuples(), lines, further, strict=True):
+        stated = [row.ra_deg, row.dec_deg, row.scan_angle_deg, row.rate_mrad_s, row.stars]
+        assert numbers(line)[-5:] == pytest.approx(stated, abs=0.051)
+        printed = numbers(other)
+        assert printed[1:4] == pytest.approx([row.sun_deg, row.moon_deg, row.limb_deg], abs=0.51)
+        sigma = [row.sigma_x_arcsec, row.sigma_y_arcsec, row.sigma_z_arcsec]
+        assert printed[4:] == pytest.approx(sigma, abs=5.1e-5)
         # The attitude beside them: z of frame c to its right ascension, x turned from north to east.
         R_ci = Rotation.from_quat([row.qx_ci, row.qy_ci, row.qz_ci, row.qw_ci]).as_matrix()
         z, x = (SkyCoord(*one, representation_type="cartesian") for one in (R_ci[2], R_ci[0]))

@@ -428,6 +428,9 @@ def test_fields_are_planned_away_from_the_sun(folder, tmp_path):
     assert all(np.ptp(line.get_xdata()) < 180.0 for line in sky.lines)  # cut where it leaves the map
     assert ((off > 0.99 * low) & (off < 1.01 * high)).any(axis=1).all()
     assert np.allclose(np.sort(off[off > 0.995 * high])[[0]], high, rtol=0.02)
+    for row, printed in zip(table.itertuples(), done.stdout.splitlines()[-7:-2], strict=True):
+        stated = [row.image, row.ra_deg, row.dec_deg, row.roll_deg, row.stars, row.largest_sigma_px]
+        assert numbers(printed) == pytest.approx([*stated, row.random_sigma_px], abs=5.1e-3)
     # the attitudes beside them look the same way: the optical axis is near the image's middle
     axes = Rotation.from_quat(table[["qx_si", "qy_si", "qz_si", "qw_si"]]).inv().apply([0.0, 0.0, 1.0])
     assert np.degrees(np.arccos((axes * middle.cartesian.xyz.value.T).sum(axis=1))).max() < 1.0

@@ -31,11 +31,14 @@ def test_lakes_and_repeated_patterns_are_left_out(invented: NDArray):
     assert not suggest_targets(faint, TRANSFORM, np.ones(image.shape, dtype=bool), size_px=64, most=6)
 
 
-def test_best_comes_first(invented: NDArray):
+def test_best_comes_first_and_map_coordinates_are_those_of_the_pixel(invented: NDArray):
     found = suggest_targets(invented, TRANSFORM, np.ones(invented.shape, dtype=bool), size_px=96, most=10)
     assert len(found) == 10
     scores = [target.score for target in found]
     assert scores == sorted(scores, reverse=True)
+    best = found[0]
+    assert best.x == pytest.approx(4000.0 + 0.5 * (best.column + 0.5), abs=1e-9)
+    assert best.y == pytest.approx(9000.0 - 0.5 * (best.row + 0.5), abs=1e-9)
 
 
 def test_places_without_data_are_left_out(invented: NDArray):
