@@ -472,9 +472,9 @@ def _told_of_all(
     text, sigma = kind.text.format(size_si / kind.si), np.nan
     if kind is OF_TIMES and (groups := _two_groups(parts, size_si)):
         early, size_si, sigma = groups
-        which = f"{len(early)} of {sum(len(part.rows) for part in parts)} are"
-        alternate = len(early) > 2 and float(np.mean(np.diff(early) == 2)) > MOSTLY
-        which = "every second one is" if alternate else which
+        n = sum(len(part.rows) for part in parts)
+        alternate = 2.0 * np.sum(np.diff(early) == 2) > MOSTLY * n
+        which = "every second one is" if alternate else f"{len(early)} of {n} are"
         text = f"{which} dated {1e3 * size_si:.3g} ms earlier than the others"
     elif kind is OF_TIMES and (step_s := _common_step(of_head.t_s, size_si)):
         text += f", all of them multiples of {step_s:.4g} s"

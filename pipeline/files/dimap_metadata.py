@@ -25,6 +25,7 @@ from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
+from numpy.polynomial.polynomial import polyval
 from scipy.spatial.transform import Rotation
 
 from boresight.geometry.attitude import AttitudeTrack, EarthFixedAttitude
@@ -334,8 +335,7 @@ def _camera(root: Element, width: int, file: str) -> LookAngleCamera:
             raise RawDataError(file, place, f"{first} ... {last}", f"{width} columns, or one more")
         psi_x, psi_y = (_polynomial(root, f"{_VIEWING}/Viewing_Directions/Psi{a}_Model", file) for a in "XY")
     samples: Floats = np.linspace(0.0, max(width - 1.0, 1.0), _LOOK_SAMPLES, dtype=np.float64)
-    powers = (samples[:, None] + first_column) ** np.arange(_MAX_POWERS + 1)
-    tan_x, tan_y = powers[:, : len(psi_y)] @ psi_y, -powers[:, : len(psi_x)] @ psi_x
+    tan_x, tan_y = polyval(samples + first_column, psi_y), -polyval(samples + first_column, psi_x)
     with refusing(file, "look angles", "look angles along a line"):
         return LookAngleCamera((LookTable(width, samples, tan_x, tan_y),))
 

@@ -175,16 +175,16 @@ def read_spk(path: Path, file: str, kernels: Kernels) -> Ephemeris:
         states = np.array([spice.spkgeo(body, one, "J2000", EARTH)[0] for one in et.tolist()])
     states = states.reshape(-1, 6)
     check_components(states, file)
-    values = 1e3 * states
+    positions_m, velocities_m_s = np.split(1e3 * states, 2, axis=1)
     epoch = Epoch(int(np.floor(seconds_from_ephemeris_time(Epoch(0), et[:1])[0])))
     t_s = seconds_from_ephemeris_time(epoch, et)
-    check_states(t_s, values[:, :3], file)
+    check_states(t_s, positions_m, file)
     first, last = epoch.utc_from_seconds([float(t_s[0]), float(t_s[-1])])
     return Ephemeris(
         epoch=epoch,
         t_s=t_s,
-        positions_m=values[:, :3],
-        velocities_m_s=values[:, 3:],
+        positions_m=positions_m,
+        velocities_m_s=velocities_m_s,
         frame="GCRF",
         method="hermite",
         interpolation_degree=DEGREE,
@@ -338,10 +338,10 @@ def _is_whole(kind: int, numbers: Floats) -> bool:
         return bool(1.0 <= numbers[-1] <= len(numbers))
     if kind != CHEBYSHEV:
         return True
-    meta, size = np.nan_to_num(numbers[-META:], nan=-1.0), len(numbers)
+    meta, size = numbers[-META:], len(numbers)
     times_at, n_times, places_at, n_places, first, n, header = meta[[5, 6, 7, 8, 10, 11, 15]]
     is_laid_out = 1.0 <= n == n_times == n_places - 1.0 and (first, header, meta[-1]) == (0.0, 2.0, META)
-    if not (is_laid_out and 0.0 <= min(times_at, places_at) <= max(times_at, places_at) <= size - n_places):
+    if not (is_laid_out and all(0.0 <= at <= size - n_places for at in (times_at, places_at))):
         return False
     places = np.asarray(numbers[int(places_at) : int(places_at + n_places)], dtype=float) - 1.0
     lengths = np.diff(places) - header

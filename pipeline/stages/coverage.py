@@ -144,8 +144,8 @@ def rows_of_heads(
     """
     nominal = nominal or dump.orbit
     by_name = {head.name: head for head in dump.heads if head.is_smoothed}
-    first, R_cs = by_name.pop(carrier or dump.heads[0].name), mountings[dump.heads[0].name]
-    rows = []
+    reference, rows = dump.heads[0].name, []
+    first, R_cs = by_name.pop(carrier or reference), mountings[reference]
     for head in (first, *by_name.values()):
         assert isinstance(head.source, SolvedAttitudes)
         of_head = head.source.rows

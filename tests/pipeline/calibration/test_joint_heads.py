@@ -28,6 +28,7 @@ from boresight.pipeline.files.dump import Dump, open_dump
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.files.text_tables import write_toml
 from boresight.pipeline.results.reading import read_mounting
+from boresight.pipeline.stages.coverage import rows_of_heads
 
 HEADER = "id,strip,ccd,sample,line,sigma_sample_px,sigma_line_px,lat_deg,lon_deg,height_m,height_kind,"
 HEADER += "sigma_east_m,sigma_north_m,sigma_up_m\n"
@@ -133,6 +134,9 @@ def test_strip_that_only_the_second_tracker_covers_is_carried_by_it(blinded, tmp
     asked = ("--dump", dump.root, "--strip", "late", "--pixels", tmp_path / "pixels.csv")
     told = pd.read_csv(io.StringIO(ran("geolocate", result, *asked).stdout))
     assert_recorded("places_of_two_heads", columns_of(told))
+    t_s = dump.heads[1].source.rows.t_s[3:7]  # rounded otherwise they are the same instants
+    of_heads = dict(zip((head.name for head in dump.heads), matrices))
+    assert rows_of_heads(dump, t_s[[0, -1]] + [5e-8, -5e-8], of_heads)[-1].t_s.tolist() == t_s.tolist()
     assert_matrices(installation, matrices)
     assert not [one for one in calibrate_dump(dump).omissions if one.subject.kind == "strip"]
 

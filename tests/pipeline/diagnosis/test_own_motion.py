@@ -246,6 +246,8 @@ def test_a_single_row_dated_early_is_named_singly(seed):
     record = restated(record_of(seed, 0.38, strips=1, rows=20), t_s - 0.05 * (np.arange(20) == 7))
     (told,) = against_own_motion([record])
     assert told.item == "exposure STR7-000007"
+    some = record_of(1, 0.061, strips=1, rows=20, late_s=0.1 * np.isin(np.arange(20), range(3, 14, 2)))
+    assert against_own_motion([some])[0].text.startswith("6 of 20 are dated")  # not every second one
 
 
 @pytest.mark.parametrize("rate", RATES_DEG_S.values(), ids=RATES_DEG_S)

@@ -326,7 +326,7 @@ ROWS = [
     ("ground", partial(chips_mapped, 1.016, 0.0), REFUTED,
         [("pixel size of the chips", "all chips", "targets.csv", 1.6, "too large")]),
     ("ground", partial(chips_mapped, 1.0, 1.0), REFUTED,
-        [("rotation of the chips", "all chips", "targets.csv", None, r"rotation by [\d.]+ ± [\d.]+°")]),
+        [("rotation of the chips", "all chips", "targets.csv", None, r"rotation by 0.99. ± 0.01[6-9]°")]),
     ("ground", lambda dump: repaint(dump / "terrain/dem.tif", lambda z: np.roll(z, 20, axis=1)), REFUTED,
         [("heights of targets or terrain", "all targets, or the terrain model", "terrain, targets.csv", None,
             "scatter about it")]),

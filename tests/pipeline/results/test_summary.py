@@ -57,7 +57,12 @@ def plain_verdict(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_numbers_of_the_summary_are_those_of_the_estimate() -> None:
-    rows = {line[:26].strip(): line[26:].split() for line in calibration_summary(calibration()).splitlines()}
+    told = {"theta": np.array([1e-5, -2e-5, 3e-5]), "sigma": np.array([0.75, 1.5, 9.25]) * ARCSEC}
+    between = SimpleNamespace(cameras=("nadir", "aft"), as_before_launch=True, p_value=0.25, **told)
+    text = calibration_summary(calibration(between=lambda sigma_rad: (between,)))
+    rows = {line[:26].rstrip(): line[26:].split() for line in text.splitlines()}
+    assert rows["aft to nadir"] == ["+2.063", "-4.125", "+6.188"]
+    assert rows["  1 sigma, arcsec"] == ["0.7500", "1.5000", "9.2500"]
     assert rows["1 sigma, arcsec"] == ["0.4541", "0.5153", "8.2676"]
     assert rows["theta, arcsec"] == ["+206.265", "-412.530", "+721.927"]  # 206264.806" in a radian
     turned = Rotation.from_rotvec([1e-3, -2e-3, 3.5e-3]).as_euler("ZXY") * 206264.806  # of axes
@@ -146,7 +151,7 @@ def target(name: str) -> Subject:
 
 
 def test_targets_that_the_data_do_not_tell_apart_are_named() -> None:
-    doubtful = SimpleNamespace(doubtful=(tuple(target(name) for name in ("t3", "t9")),))
+    doubtful = SimpleNamespace(doubtful=((target("t3"), target("t9")),))
     text = calibration_summary(calibration(targets=doubtful))
     assert "one target in doubt       s1/t3 or s1/t9 is wrong; the data do not tell which" in text
     assert "doubt" not in calibration_summary(calibration())

@@ -77,6 +77,14 @@ def test_rows_that_are_dated_late_move_places_as_the_strip_model_does(finished, 
     errors = PassErrors.of(calibrated.result, dump, model.strip, model.track, 0.0).at(t_s, here)
     # m/s: the rate of the attitude is that over a second; the camera's rotation alone is 580 m/s
     assert errors.own[:, :, -2] / dump.errors.clock_s == pytest.approx(np.transpose(expected), abs=70.0)
+    # Errors of two heads' matrices turn the attitudes by their shares, which are in axes of s.
+    two = {"heads": [{"name": "b"}, {"name": "a"}], "heads_covariance_rad2": np.eye(6).tolist()}
+    taken, name = np.arange(42.0).reshape(6, 7), model.strip.strip_id
+    result = replace(known[1], installation=known[1].installation | two, taken_up={name: taken})
+    shares, C = {"a": np.diag([0.0, 0.5, 0.75]), "b": np.diag([1.0, 0.5, 0.25])}, result.R_cs.as_matrix()
+    found = PassErrors.of(result, dump, model.strip, replace(model.track, shares=shares), 0.0)
+    assert found.in_matrix[:6, -2] == pytest.approx(-dump.errors.clock_s * taken[:, 6])
+    assert C.T @ found.shares @ np.kron(np.eye(2), C) == pytest.approx(np.hstack([shares["b"], shares["a"]]))
 
 
 def with_run(true: SavedResult, **changes: object) -> SavedResult:

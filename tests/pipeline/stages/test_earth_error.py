@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
-from boresight.calib.predicted_earth import correlation_of_predictions, is_earth
+from boresight.calib.predicted_earth import correlation_of_predictions, earth_names, is_earth
 from boresight.features.geolocate.positions import Pixels, ground_places
 from boresight.geometry.constants import WGS84
 from boresight.geometry.earth_orientation import EarthOrientationTable, expected_rotation_error_rad
@@ -27,7 +27,7 @@ from boresight.pipeline.files import dump_parts
 from boresight.pipeline.files.orbit_and_earth import bundled_table
 from boresight.pipeline.forecast.budget import uncertainty_budget
 from boresight.pipeline.results.ground_moves import common_covariance, ground_moves
-from boresight.pipeline.results.reading import SavedEarth, read_mounting, read_saved_result
+from boresight.pipeline.results.reading import SavedEarth, _earth, read_mounting, read_saved_result
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 from boresight.pipeline.stages.strip import StripTask, ground_sightings, pushbroom_of
 from boresight.records.record import Floats
@@ -283,6 +283,13 @@ def test_a_located_date_that_was_not_calibrated_shares_what_is_correlated(calibr
     # Against draws of the errors of both dates: 200 000, each share good to 0.5 %.
     here, there = "60000/60020", "60000/60035"
     R = correlation_of_predictions((here, there), (here, there))
+    saved = {"unknowns": earth_names((here, there)), "covariance": R.tolist()}
+    read = _earth({"predicted_earth": saved | {"covariance_with_theta_rad": R[:3].tolist()}}, "")
+    assert (read.predictions, read.covariance.shape, read.with_theta_rad.shape) == (
+        (here, there),
+        (6, 6),
+        (3, 6),
+    )
     a = np.random.default_rng(5).multivariate_normal(np.zeros(6), R, 200_000)
     by_a = np.array([[3.0, -1.0, 0.5], [0.2, 2.0, -4.0], [1.0, 0.0, 0.3]])  # theta by the errors
     theta = a[:, :3] @ by_a.T
