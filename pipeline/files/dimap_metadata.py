@@ -342,7 +342,7 @@ def _camera(root: Element, width: int, file: str) -> LookAngleCamera:
 
 def _line_of_sight(looks: Element, name: str, file: str) -> list[float]:
     """Coefficients name_0, name_1, ... as far as they go."""
-    count = next(n for n in range(_MAX_POWERS + 1) if looks.find(f"{name}_{n}") is None or n == _MAX_POWERS)
+    count = next((n for n in range(_MAX_POWERS) if looks.find(f"{name}_{n}") is None), _MAX_POWERS)
     return [numbers_of(looks, f"{name}_{n}", file, 1)[0] for n in range(max(count, 1))]
 
 

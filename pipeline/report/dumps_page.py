@@ -128,7 +128,7 @@ def _basis(result: Path, names: list[str]) -> SheetBasis | None:
     if not known:
         return None
     contexts = {path: read_json(path) for path in known}
-    first = min(known, key=lambda path: str(contexts[path]["utc"][0]))
+    first = min(known, key=lambda path: list(contexts[path]["utc"]))
     last = max(str(one["utc"][1]) for one in contexts.values())
     source = first.relative_to(result).as_posix()
     return basis_of(contexts[first], source, read_parquet(first.parent / "inputs.parquet"), last)

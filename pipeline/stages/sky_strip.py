@@ -57,6 +57,7 @@ _OF_STAGES = "check tdi_stages and time_of_row in remote_camera.toml"
 _LEAST_SMEAR = 1.0  # rows from which TDI stages give a star another shape than the optics do
 _AT_LEAST_GAIN = 1.1  # times the least gain: below it no noise was found
 _SLOWEST = 0.05  # pixels a row: slower, a star stays for hundreds of rows
+_FEWEST = 4  # stars that give a rotation of the mounting
 # Margin around a strip's field, rad, within which catalogue stars are looked up: more than aberration and
 # refraction.
 _FIELD_MARGIN_RAD = 0.002
@@ -388,6 +389,6 @@ def _not_identified(
         return f"its rows run against the attitudes: {counts}, but with the order of rows reversed many do"
     if per_deg2 > settings.max_stars_per_deg2:
         return f"too crowded, {per_deg2:.0f} detections a square degree (the Milky Way?): {counts}"
-    if voted.detections < 4 or len(field.u_i) < 4:
-        return f"too few stars: {counts}; 4 are needed"
+    if min(voted.detections, len(field.u_i)) < _FEWEST:
+        return f"too few stars: {counts}; {_FEWEST} are needed"
     return f"its stars are not those of the catalogue: {counts}"
