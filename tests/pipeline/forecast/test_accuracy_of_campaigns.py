@@ -48,7 +48,7 @@ def test_what_the_strips_share_sets_a_floor_that_no_number_of_strips_breaks():
     found = forecast_of_plan(TABLE_1, CAMERAS, draws=30)
     assert found.floor()[2] > 0.3 * ARCSEC
     assert found.strips_for(0.1 * ARCSEC) is None
-    # Angles that are seen with an error in common: sigma² / n + shared². Less than 0.1 % of one strip's is none.
+    # Angles that share an error: variance 1 / n + shared². Less than 0.1 % of one strip's sigma is none.
     shared = np.array([0.85e-3, 1.2e-3, 0.1])
     found = Forecast(np.kron(np.ones((2, 2)), np.eye(3)), np.diag(shared**-2.0), sigma_observable_rad=1e3)
     assert found.floor() == pytest.approx([0.0, *shared[1:]], rel=1e-3)  # of 1e9 strips

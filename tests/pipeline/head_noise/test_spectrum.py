@@ -116,6 +116,10 @@ def test_a_short_record_of_two_heads_is_served_with_errors_that_hold() -> None:
         white = np.array([noise.white_rad[2] for noise in fit.heads]) / ARCSEC
         deviations.append(np.log(white / WHITE[:, 2]) / fit.sigma_log[:, 2, 0])
     assert 0.6 < np.sqrt(np.mean(np.square(deviations))) < 1.4
+    of_three = difference_signal(a.R_hi, [(b.R_hi, R_SH), (b.R_hi, R_SH.inv())], pieces_of(T))
+    one, none, C = np.eye(3), np.zeros((3, 3)), R_SH.as_matrix()
+    expected = [[-one, C, none], [-one, none, C.T]]
+    assert np.hstack(list(of_three.enters)) == pytest.approx(np.block(expected))
 
 
 @pytest.mark.parametrize("step_s", [1.0, 2.5, 10.0, 60.0])
