@@ -335,9 +335,9 @@ def _camera(root: Element, width: int, file: str) -> LookAngleCamera:
             raise RawDataError(file, place, f"{first} ... {last}", f"{width} columns, or one more")
         psi_x, psi_y = (_polynomial(root, f"{_VIEWING}/Viewing_Directions/Psi{a}_Model", file) for a in "XY")
     samples: Floats = np.linspace(0.0, max(width - 1.0, 1.0), _LOOK_SAMPLES, dtype=np.float64)
-    tan_x, tan_y = polyval(samples + first_column, psi_y), -polyval(samples + first_column, psi_x)
+    tan_x, minus_y = (np.asarray(polyval(samples + first_column, psi), np.float64) for psi in (psi_y, psi_x))
     with refusing(file, "look angles", "look angles along a line"):
-        return LookAngleCamera((LookTable(width, samples, tan_x, tan_y),))
+        return LookAngleCamera((LookTable(width, samples, tan_x, -minus_y),))
 
 
 def _line_of_sight(looks: Element, name: str, file: str) -> list[float]:

@@ -72,13 +72,13 @@ def pictures_at(
         around = task.strip.images.read(ccd, top, bottom, left, right).astype(np.float32)
     except RawDataError:  # its omission says so
         return None
-    filled = np.where(template.valid, template.image, np.mean(template.image))
-    expected = filled.astype(np.float32)
-    found = around[y0 - top : y0 - top + h, x0 - left : x0 - left + w]
+    expected = np.where(template.valid, template.image, np.mean(template.image)).astype(np.float32)
+    x, y = x0 - left, y0 - top
+    found = around[y : y + h, x : x + w]
     surface_px = cv2.matchTemplate(around, expected, cv2.TM_CCOEFF_NORMED)
     design = np.column_stack([expected.ravel(), np.ones(expected.size)])
     gain, offset = np.linalg.lstsq(design, found.ravel().astype(float), rcond=None)[0]
     residual = (found - (gain * expected + offset)).astype(np.float32)
-    in_surface, unknown = np.array([x0 - left, y0 - top], dtype=float), np.full(2, np.nan)
+    in_surface, unknown = np.array([x, y], dtype=float), np.full(2, np.nan)
     images = expected, found, residual, surface_px
     return match_pictures(*images, in_chip=xy_px - (x0, y0), in_surface=in_surface, off_px=unknown)

@@ -261,10 +261,8 @@ def test_attitudes_that_stand_rows_from_their_times_are_named_with_the_rows(rate
     shifted = solved_attitudes(Rotation.from_matrix(R_si), covariance_s)
     (told,) = against_own_motion([replace(sound, stars=stars, attitudes=shifted)])
     assert (told.cause, told.item, told.value) == ("times of attitudes", "head STR7", -rows)
-    assert (
-        told.refutes
-        and f"{abs(rows)} row{'s' * (abs(rows) > 1)} {'early' if rows > 0 else 'late'}" in told.text
-    )
+    words = f"{abs(rows)} row{'s' * (abs(rows) > 1)} {'early' if rows > 0 else 'late'}"
+    assert told.refutes and words in told.text
 
 
 def test_exposures_that_were_uneven_have_no_finding():
