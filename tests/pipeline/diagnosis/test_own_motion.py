@@ -11,7 +11,7 @@ from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.gyro import GyroNoise, GyroRecord
 from boresight.geometry.sightings import exposure_without_stars, solved_attitudes
-from boresight.pipeline.diagnosis.own_motion import _common_step, against_own_motion
+from boresight.pipeline.diagnosis.own_motion import _common_step, _off, against_own_motion
 from boresight.pipeline.files.star_side import SolvedAttitudes
 from boresight.pipeline.stages.head import HeadSightings
 from boresight.records.ledger import Kind, Subject
@@ -248,6 +248,11 @@ def test_a_single_row_dated_early_is_named_singly(seed):
     assert told.item == "exposure STR7-000007"
     some = record_of(1, 0.061, strips=1, rows=20, late_s=0.1 * np.isin(np.arange(20), range(3, 14, 2)))
     assert against_own_motion([some])[0].text.startswith("6 of 20 are dated")  # not every second one
+    turn = np.array([0.0, 0.1, 0.3, 0.4])  # of a steady motion, of which the last row is 0.3 rad late
+    steady = SimpleNamespace(
+        t_s=np.array([0.0, 1.0, 3.0, 7.0]), R_si=Rotation.from_rotvec(np.outer(turn, [0, 1, 0]))
+    )
+    assert [_off(steady, n, np.arange(4)) for n in (0, 1, 2)] == pytest.approx([0.0, 0.0, 0.1])
 
 
 @pytest.mark.parametrize("rate", RATES_DEG_S.values(), ids=RATES_DEG_S)
