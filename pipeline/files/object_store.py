@@ -106,7 +106,7 @@ class StoredPath(type(Path())):  # type: ignore[misc]  # PosixPath or WindowsPat
     def stat(self, *, follow_symlinks: bool = True) -> os.stat_result:
         """Size of a file, and as its inode a checksum of what the store says of its version."""
         size, version = _state(str(self), int(time.monotonic() / CURRENT_S))
-        return os.stat_result((stat.S_IFREG, version, *bytes(4), size, *bytes(3)))
+        return os.stat_result((stat.S_IFREG | 0o444, version, 0, 1, 0, 0, size, 0, 0, 0))
 
     def read_bytes(self) -> bytes:
         """All bytes of a file in one request; `OSError` if the store does not give them, or too many."""

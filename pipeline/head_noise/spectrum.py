@@ -359,8 +359,8 @@ def difference_signal(
     reference head's `R_si`, the rotation from it, axes of s.
     """
     values = [(R_sh * R_hi * R_si.inv()).as_rotvec() for R_hi, R_sh in others]
-    H = len(others)
-    enters = np.zeros((1 + H, 3 * H, 3))
-    enters[0] = np.tile(-np.eye(3), (H, 1))
-    enters[1:].reshape(H, H, 3, 3)[range(H), range(H)] = [R_sh.as_matrix() for _, R_sh in others]
+    enters = np.zeros((1 + len(others), 3 * len(others), 3))
+    enters[0] = np.tile(-np.eye(3), (len(others), 1))
+    for n, (_, R_sh) in enumerate(others):
+        enters[1 + n, 3 * n : 3 * n + 3] = R_sh.as_matrix()
     return Signal(values=np.concatenate(values, axis=1), pieces=step[1], step_s=step[0], enters=enters)

@@ -84,7 +84,7 @@ def radius_90(covariance: Floats) -> float:
     b, a = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0))
     if a == 0.0:
         return 0.0
-    t = np.arange(NODES) * (np.pi / NODES)  # the longer axis runs over a sin t; the sum has period π
+    t = (np.arange(NODES) + 0.5) * (np.pi / NODES) - 0.5 * np.pi  # the longer axis runs over a sin t
 
     def missing(radius: float) -> float:
         in_chord = 2.0 * ndtr(radius * np.cos(t) / max(b, 1e-9 * a)) - 1.0

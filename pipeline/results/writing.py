@@ -338,16 +338,16 @@ def _passes_table(calibration: DumpCalibration, estimate: InstallationEstimate, 
     for task in tasks:
         lasts_s = task.strip.lines * task.strip.row_period_s
         t_s = task.strip.t_first_row_s + lasts_s * np.array([0.5, 0.0, 1.0])
-        states = task.orbit.states_i(t_s[[0]])
+        states = task.orbit.states_i(t_s[:1])
         lat, lon, _ = geodetic_from_ecef(task.orbit.positions_e(t_s))
         track_deg = np.degrees([lat, lon]).T
         rows.append(
             {
                 "strip_id": prefix + task.strip.strip_id,
-                "utc_middle": task.orbit.epoch.utc_from_seconds(t_s[[0]])[0],
+                "utc_middle": task.orbit.epoch.utc_from_seconds(t_s[:1])[0],
                 "argument_of_latitude_rad": float(argument_of_latitude(*states)[0]),
                 "camera": rounded_digest(plain(task.camera)),
-                "beta_rad": float(beta_angle(*states, task.orbit.epoch, t_s[[0]])[0]),
+                "beta_rad": float(beta_angle(*states, task.orbit.epoch, t_s[:1])[0]),
                 "begin_deg": track_deg[1].tolist(),
                 "end_deg": track_deg[2].tolist(),
             }
