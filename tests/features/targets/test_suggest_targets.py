@@ -61,7 +61,9 @@ def suggested(out: Path, *arguments: object, size_px: int = 64, recorded: str = 
         printed = [numbers_in(line) for line in told.output.splitlines() if " -> " not in line]
         found |= {f"printed {n}": np.array(values) for n, values in enumerate(zip(*printed[:6]))}
         assert_recorded(
-            f"targets_{recorded}", found | {"printed of all": np.concatenate([[], *printed[6:]])}, relative=5e-4
+            f"targets_{recorded}",
+            found | {"printed of all": np.concatenate([[], *printed[6:]])},
+            relative=5e-4,
         )
     return rows
 
