@@ -112,7 +112,8 @@ def test_a_sound_dump_shows_footprints_and_the_nearest_miss_of_every_target(one_
     # 55.5 km along the meridian, 10 degrees off the track; the strip is 13 km long
     assert 40e3 < far["along_m"] < 56e3 and far["along_s"] == pytest.approx(far["along_m"] / 7e3, rel=0.05)
     assert sum(one["seen_by"] == ["s01"] for one in others) >= 8
-    assert_recorded("dump_check", flat("", found) | numbers_by_line(page.read_text().partition("<body")[2]))
+    body = page.read_text().partition("<body")[2].replace(str(one_strip), "")
+    assert_recorded("dump_check", flat("", found) | numbers_by_line(body))
     assert "<svg" in page.read_text() and not re.search(r"https?://(?!www.w3.org)", page.read_text())
     next((one_strip / "exposures").glob("*.png")).unlink()
     status, text = run("dump", "check", one_strip)
