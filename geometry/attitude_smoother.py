@@ -207,15 +207,15 @@ class _Equations:
         """For densities (3,): lower Cholesky factor, banded (2 D, N D); states (N, D, 1 + 3 H) by rows and
         constants; and what is left of the sums of squares, (1 + 3 H, 1 + 3 H).
         """
-        factor, right = self._factor(q), self._right
+        factor, right = self._factored(q)
         states = np.asarray(cho_solve_banded((factor, True), right))
         left = self.nodes.squares - right.T @ states
         return factor, states.reshape(self.nodes.by_rows.shape), 0.5 * (left + left.T)
 
     def log_likelihood(self, q: Floats) -> float:
         """Logarithm of the likelihood for densities (3,), the constants unknown."""
-        factor = self._factor(q)
-        told, _ = dtbtrs(factor, self._right, uplo="L")
+        factor, right = self._factored(q)
+        told, _ = dtbtrs(factor, right, uplo="L")
         left = self.nodes.squares - told.T @ told
         known = left[1:, 1:] + np.eye(len(left) - 1) / DIFFUSE_RAD**2
         chi2 = left[0, 0] - left[0, 1:] @ np.linalg.solve(known, left[1:, 0])
@@ -223,16 +223,13 @@ class _Equations:
         size = 2.0 * np.log(factor[0]).sum() - of_prior + np.linalg.slogdet(known)[1]
         return -0.5 * float(size + chi2)
 
-    def _factor(self, q: Floats) -> Floats:
-        N, D, _ = self.nodes.by_rows.shape
+    def _factored(self, q: Floats) -> tuple[Floats, Floats]:
+        """The factor for densities (3,), and right-hand sides (N D, 1 + 3 H)."""
+        N, D, m = self.nodes.by_rows.shape
         band = self.fixed.copy()
         band[:, :, :MOTION] += self.moving / np.tile(q, ORDER)
-        return np.asarray(cholesky_banded(band.reshape(2 * D, N * D), overwrite_ab=True, lower=True))
-
-    @property
-    def _right(self) -> Floats:
-        """Right-hand sides (N D, 1 + 3 H)."""
-        return self.nodes.by_rows.reshape(-1, self.nodes.by_rows.shape[2])
+        factor = cholesky_banded(band.reshape(2 * D, N * D), overwrite_ab=True, lower=True)
+        return np.asarray(factor), self.nodes.by_rows.reshape(N * D, m)
 
 
 # Of the motion over one second, q being 1: covariance of the states given those before, and its inverse.
