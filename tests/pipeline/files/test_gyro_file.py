@@ -57,6 +57,20 @@ def test_rates_and_angles_in_any_unit_turn_the_star_camera(tmp_path) -> None:
         assert sizes == pytest.approx((0.02 * ARCSEC, 1e-3 * ARCSEC, *rest))
 
 
+@pytest.mark.parametrize(("gap_s", "is_gap"), [(0.4, True), (0.2, False)])
+def test_a_turn_is_too_fast_only_where_rows_follow_each_other(tmp_path, gap_s, is_gap) -> None:
+    """Over a gap, of three usual steps, a gyro may have begun to count anew."""
+    times = EPOCH.utc_from_seconds([*STEP_S * np.arange(12), 1.1 + gap_s])
+    rows = [*(f"{utc},0.001,0.002,-0.003" for utc in times[:-1]), f"{times[-1]},2.0,0.0,0.0"]  # 5 or 10 rad/s
+    (tmp_path / "gyro.csv").write_text("\n".join(["utc,x,y,z", *rows]))
+    if is_gap:
+        record = read_gyro(tmp_path / "gyro.csv", stated(quantity="angles"), EPOCH)
+        assert record.t_s[-1] == pytest.approx(1.1 + gap_s, abs=1e-6)
+    else:
+        with pytest.raises(RawDataError, match="found 10 rad/s by angles in rad"):
+            read_gyro(tmp_path / "gyro.csv", stated(quantity="angles"), EPOCH)
+
+
 def test_rows_around_attitudes_have_no_gap(tmp_path) -> None:
     record = record_of(tmp_path, np.tile(RATE, (50, 1)))
     nominal = ConstantRate(0.0, Rotation.identity(), np.zeros(3))

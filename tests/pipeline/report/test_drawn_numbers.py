@@ -16,7 +16,7 @@ from astropy.wcs import WCS
 from boresight.pipeline.report import figures
 from boresight.pipeline.report.drawing import Axis
 from boresight.pipeline.report.first_screen import _helps
-from boresight.pipeline.report.map_view import CAPTION, GAP, WIDTH, _check, _layout, map_view
+from boresight.pipeline.report.map_view import CAPTION, GAP, LONGEST, WIDTH, _check, _layout, map_view
 from boresight.pipeline.report.observations import TargetCard, strip_star_rows
 from boresight.pipeline.report.saved import Saved
 from boresight.pipeline.report.sheet import angles
@@ -189,6 +189,18 @@ def test_the_arrow_of_a_check_point_is_its_error_to_scale_and_points_the_right_w
     assert (x, y, words) == (12.0, 23.0, "c")  # pictures have y downwards
     dx, dy = map(float, re.match(r"M12.00 23.00l(\S+) (\S+)l", arrow).groups())  # type: ignore[union-attr]
     assert (dx, dy) == (10.0, 7.5)  # 4 m east and 3 m south at 2.5 units a metre
+
+
+@pytest.mark.parametrize(("stretch", "length"), [(9.0, 45.0), (70.0, LONGEST)])  # units: of 5 m; 350 are cut
+def test_an_arrow_is_cut_at_the_longest_in_its_direction_and_has_an_even_head(stretch, length) -> None:
+    point = SimpleNamespace(place_m=(200.0, -300.0), error_m=(4.0, -3.0), words="c")
+    _, _, arrow, _ = _check(point, (10.0, 20.0), 0.01, stretch)  # type: ignore[arg-type]
+    way, left, back, right = (complex(*map(float, part.split())) for part in re.split("[lm]", arrow)[1:])
+    atol = 0.01  # units: both parts are written to 0.01
+    assert abs(way - length * complex(0.8, 0.6)) < atol and abs(left + back) < atol
+    # seen from the arrow's direction its sides are mirrored, and point back
+    one, other = (side * way.conjugate() / length for side in (left, right))
+    assert abs(one - other.conjugate()) < 4 * atol and one.real < -0.2 * length
 
 
 def test_angles_of_several_dumps_are_in_seconds_of_arc() -> None:

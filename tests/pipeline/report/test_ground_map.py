@@ -1,5 +1,6 @@
 """Quicklooks of strips: each pixel has the grey value of the place where it lies."""
 
+import json
 from pathlib import Path
 
 import cv2
@@ -7,14 +8,28 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import rasterio
+from pyproj import Geod
 from pytest import approx
 from scipy.spatial.transform import Rotation
 
 from boresight.gct_match.settings import MatchSettings
-from boresight.geometry.geodesy import local_axes_e
+from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.files.images.tiff import StripFiles
-from boresight.pipeline.report.ground_map import BAND_LINES, NODES, _joined, _lattice_map, overview
+from boresight.pipeline.files.terrain_files import surface_of
+from boresight.pipeline.report.budget_table import CONTEXT
+from boresight.pipeline.report.ground_map import (
+    BAND_LINES,
+    MOST_SIDE_PX,
+    NODES,
+    RELIEF,
+    SUN,
+    MapScene,
+    _joined,
+    _lattice_map,
+    _shaded,
+    overview,
+)
 from boresight.pipeline.results.strip_model import open_calibrated, strip_model
 
 
@@ -65,6 +80,56 @@ def test_residuals_in_metres_are_the_way_on_the_ground_of_the_rotated_look_direc
         assert [one.residual_along_m, one.residual_across_m] == approx(
             [along_left.real, -along_left.imag], abs=1e-3
         )
+
+
+def test_outlines_of_a_map_go_through_the_corners_of_the_corner_pixels(finished):
+    dump, result = finished
+    (scene,) = json.loads((result / CONTEXT).read_text())["scenes"]
+    (strip,) = scene["strips"]
+    calibrated = open_calibrated(result, dump)
+    found, surface = strip_model(calibrated, strip["id"]), surface_of(calibrated.dump.terrain)
+    for ccd, outline in enumerate(strip["outlines_m"]):
+        lines, samples = found.strip.images.shape(ccd)
+        corners = np.array(
+            [[-0.5, -0.5], [samples - 0.5, -0.5], [samples - 0.5, lines - 0.5], [-0.5, lines - 0.5]]
+        )
+        places = geodetic_from_ecef(found.pushbroom.ground_points(ccd, *corners.T, surface))
+        lat, lon = np.degrees(places[:2])
+        # by the geodesic from the plane's origin: azimuthal equidistant
+        azimuth, _, metres = Geod(ellps="WGS84").inv([scene["lon_deg"]] * 4, [scene["lat_deg"]] * 4, lon, lat)
+        expected = np.array([metres * np.sin(np.radians(azimuth)), metres * np.cos(np.radians(azimuth))]).T
+        drawn = np.array(outline)
+        apart = np.linalg.norm(drawn[:, None] - expected, axis=2).min(axis=0)
+        assert apart.max() < 0.2  # m: written to 0.1 m
+        west, south, east, north = scene["box_m"]
+        assert np.all((drawn > [west, south]) & (drawn < [east, north]))
+
+
+class Slope:
+    """Ground that rises evenly to the east and falls to the north of a place, metres a metre."""
+
+    rise = 0.06, -0.11
+
+    def height_m(self, lat_rad, lon_rad):
+        azimuth, _, metres = Geod(ellps="WGS84").inv(
+            np.full(lat_rad.shape, -71.0),
+            np.full(lat_rad.shape, 44.0),
+            np.degrees(lon_rad),
+            np.degrees(lat_rad),
+        )
+        east, north = self.rise
+        return metres * (east * np.sin(np.radians(azimuth)) + north * np.cos(np.radians(azimuth)))
+
+
+def test_a_slope_is_as_light_as_it_is_turned_to_the_sun():
+    scene = MapScene(lat_deg=44.0, lon_deg=-71.0, strips=(), box_m=(-9e3, 1e3, 3e3, 5e3))
+    picture = _shaded(scene, Slope())
+    assert picture.shape == (MOST_SIDE_PX // 3, MOST_SIDE_PX)
+    up = np.array([*(-RELIEF * np.array(Slope.rise)), 1.0])
+    grey = 255.0 * (0.25 + 0.75 * float(SUN @ up) / np.linalg.norm(up))
+    # half a grey level of rounding, and what heights at pixels from node to node leave: 0.5 %
+    inside = picture[1:-1, 1:-1]
+    assert abs(float(inside.mean()) - grey) < 0.5 + 0.005 * grey and np.ptp(inside) <= 1
 
 
 def test_a_picture_on_the_lattice_has_its_pixels_at_their_centres():
