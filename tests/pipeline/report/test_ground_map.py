@@ -121,10 +121,13 @@ class Slope:
         return metres * (east * np.sin(np.radians(azimuth)) + north * np.cos(np.radians(azimuth)))
 
 
-def test_a_slope_is_as_light_as_it_is_turned_to_the_sun():
-    scene = MapScene(lat_deg=44.0, lon_deg=-71.0, strips=(), box_m=(-9e3, 1e3, 3e3, 5e3))
+@pytest.mark.parametrize(
+    ("box_m", "shares"), [((-9e3, 1e3, 3e3, 5e3), (1 / 3, 1)), ((2e3, 1e3, 5e3, 13e3), (1, 1 / 4))]
+)
+def test_a_slope_is_as_light_as_it_is_turned_to_the_sun(box_m, shares):
+    scene = MapScene(lat_deg=44.0, lon_deg=-71.0, strips=(), box_m=box_m)
     picture = _shaded(scene, Slope())
-    assert picture.shape == (MOST_SIDE_PX // 3, MOST_SIDE_PX)
+    assert picture.shape == tuple(round(share * MOST_SIDE_PX) for share in shares)
     up = np.array([*(-RELIEF * np.array(Slope.rise)), 1.0])
     grey = 255.0 * (0.25 + 0.75 * float(SUN @ up) / np.linalg.norm(up))
     # half a grey level of rounding, and what heights at pixels from node to node leave: 0.5 %
