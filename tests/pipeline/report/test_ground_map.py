@@ -13,7 +13,7 @@ from pytest import approx
 from scipy.spatial.transform import Rotation
 
 from boresight.gct_match.settings import MatchSettings
-from boresight.geometry.geodesy import geodetic_from_ecef, local_axes_e
+from boresight.geometry.geodesy import ecef_from_geodetic, geodetic_from_ecef, local_axes_e
 from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.files.images.tiff import StripFiles
 from boresight.pipeline.files.terrain_files import surface_of
@@ -157,3 +157,36 @@ def test_a_quicklook_of_two_ccds_is_grey_from_its_first_to_its_last_hundredth():
     found = _joined([left, right])
     np.testing.assert_allclose(found[:2], expected, atol=0.51)  # rounded
     np.testing.assert_array_equal(found[2], 0)
+
+
+def test_a_quicklook_shows_each_place_as_its_strip_does(finished):
+    """Grey values of the page's picture of a strip against the raw image where the model sees each place."""
+    dump, result = finished
+    (scene,) = json.loads((result / CONTEXT).read_text())["scenes"]
+    (kept,) = [
+        one for one in pq.read_table(result / "evidence" / "map.parquet").to_pylist() if one["strip_id"]
+    ]
+    picture = cv2.imdecode(np.frombuffer(kept["jpeg"], np.uint8), cv2.IMREAD_GRAYSCALE)
+    (west, south, east, north), (rows, columns) = kept["box_m"], picture.shape
+    calibrated = open_calibrated(result, dump)
+    found, surface = strip_model(calibrated, kept["strip_id"]), surface_of(calibrated.dump.terrain)
+    i, j = (index.ravel() for index in np.mgrid[5 : rows - 5 : 9, 5 : columns - 5 : 9])
+    east_m, north_m = west + (east - west) * (j + 0.5) / columns, north - (north - south) * (i + 0.5) / rows
+    lon, lat, _ = Geod(ellps="WGS84").fwd(
+        *(np.full(len(i), scene[name]) for name in ("lon_deg", "lat_deg")),
+        np.degrees(np.arctan2(east_m, north_m)),
+        np.hypot(east_m, north_m),
+    )
+    lat, lon = np.radians([lat, lon])
+    ground_e = ecef_from_geodetic(lat, lon, surface.height_m(lat, lon))
+    none = np.ones(len(i), dtype=bool)
+    for ccd in found.strip.images.ccds:
+        lines, samples = found.strip.images.shape(ccd)
+        sample, line = found.pushbroom.pixels_from_ground(ccd, ground_e)
+        inside = (sample > 3) & (sample < samples - 4) & (line > 3) & (line < lines - 4)
+        raw = cv2.blur(found.strip.images.read(ccd, 0, lines, 0, samples).astype(np.float32), (5, 5))
+        grey = raw[np.rint(line[inside]).astype(int), np.rint(sample[inside]).astype(int)]
+        # of blocks and JPEG against means of 5 by 5 pixels; a picture a block aside has less than 0.9
+        assert np.corrcoef(grey, picture[i[inside], j[inside]])[0, 1] > 0.95
+        none &= (sample < -9) | (sample > samples + 8) | (line < -9) | (line > lines + 8)
+    assert none.sum() > 200 and picture[i[none], j[none]].max() < 40  # black, as JPEG has it beside an edge
