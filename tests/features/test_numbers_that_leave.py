@@ -320,13 +320,16 @@ def trend(folder: Path) -> tuple[Any, Any]:
     rows = {"result": np.repeat(["early", "late"], 3), "utc": np.repeat(UTC, 3), "axis": [*"XYZXYZ"]}
     rows |= {"theta_arcsec": ((THETA - mean) / ARCSEC).ravel()}
     rows |= {"sigma_arcsec": np.sqrt(np.diagonal(of_each, axis1=1, axis2=2)).ravel() / ARCSEC}
+    # With one step between two results the course is what each says alone.
+    rows |= {
+        f"course{name}_arcsec": rows[f"{of}_arcsec"] for name, of in (("", "theta"), ("_sigma", "sigma"))
+    }
     course = table[["course_arcsec", "course_sigma_arcsec"]]
-    assert np.isfinite(course).all(axis=None)  # by the model of the course: test_mounting_course.py
     bands = [ax.collections[0].get_paths()[0] for ax in joint_trend.plot_drift(table, None, "").axes]
     ends = [[path.vertices[:, 1].min(), path.vertices[:, 1].max()] for path in bands]
     low, high = (course["course_arcsec"] + sign * course["course_sigma_arcsec"] for sign in (-1.0, 1.0))
     drawn = [[low[n::3].min(), high[n::3].max()] for n in range(3)]
-    return [made, table.drop(columns=course), ends], [right, rows, drawn]
+    return [made, table, ends], [right, rows, drawn]
 
 
 def required(folder: Path) -> tuple[Any, Any]:
