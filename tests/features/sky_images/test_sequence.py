@@ -2,6 +2,7 @@
 
 import csv
 import io
+import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace as Of
@@ -39,7 +40,11 @@ INDEX = sky_index(CAMERA, None, StarSettings())
 def slew():
     simulated = sequence(INDEX, 7, 60)
     timing = {"times_s": simulated.times_s, "exposure_s": EXPOSURE_S}
-    return simulated, bs.track(simulated.images, camera=CAMERA, **timing)
+    begun_s = time.process_time()
+    found = bs.track(simulated.images, camera=CAMERA, **timing)
+    took_ms = 1e3 * (time.process_time() - begun_s)
+    assert 0.5 * took_ms < found.cpu_ms.sum() <= took_ms  # frames are most of a sequence, and no more than it
+    return simulated, found
 
 
 def test_every_frame_of_a_slew_with_a_gap_and_glare_is_right_or_lost(slew) -> None:
