@@ -42,10 +42,9 @@ def piloting_directions(spamod: str, viedir: str, detector: int) -> np.ndarray:
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
-def head_of(datastrip: Path, gipp: Path):
-    """The head of corrected attitudes, whose matrix is that of the SPAMOD file."""
-    (head,) = sentinel2_mission([read_sentinel2(datastrip, gipp, "B04")], "t", attitudes="corrected").heads
-    return head
+def head_of(datastrip: Path, gipp: Path, attitudes: str = "corrected", n: int = 0):
+    """The head of corrected attitudes, whose matrix is that of the SPAMOD file, or a star tracker."""
+    return sentinel2_mission([read_sentinel2(datastrip, gipp, "B04")], "t", attitudes=attitudes).heads[n]
 
 
 def looks(table) -> np.ndarray:
@@ -60,14 +59,15 @@ def changed(before: str, after: str) -> list[str]:
     return [line[2:].strip() for line in lines if line.startswith("+ ")]
 
 
-def test_a_corrected_spamod_gives_the_result_s_matrix_and_differs_in_its_angles_only(tmp_path):
+@pytest.mark.parametrize(("attitudes", "n"), [("corrected", 0), ("raw", 0), ("raw", 1)])
+def test_a_corrected_spamod_gives_the_result_s_matrix_and_differs_in_its_angles_only(tmp_path, attitudes, n):
     datastrip = write_sentinel2(tmp_path)
-    before = head_of(datastrip, tmp_path)
+    before = head_of(datastrip, tmp_path, attitudes, n)
     path = tmp_path / f"{SPAMOD}.xml"
     text = path.read_text()
     made = corrected_gipp(path, CORRECTION, before.R_cs0, before.name)
     path.write_text(made)
-    after = head_of(datastrip, tmp_path)
+    after = head_of(datastrip, tmp_path, attitudes, n)
     # rad: rounding of angles in mrad
     assert (after.R_cs0 * (CORRECTION * before.R_cs0).inv()).magnitude() < 1e-14
     blocks = [re.sub(r"<(R[123]) [^>]*>[^<]*", r"<\1>", one) for one in (text, made)]
@@ -106,6 +106,10 @@ def test_a_spamod_of_another_matrix_is_refused(tmp_path):
     other = Rotation.from_rotvec([1e-5, 0.0, 0.0]) * head.R_cs0
     with pytest.raises(RawDataError, match=r"1e-05 rad from the dump's matrix"):
         corrected_gipp(tmp_path / f"{SPAMOD}.xml", CORRECTION, other, head.name)
+    tracker, path = head_of(datastrip, tmp_path, "raw", 1), tmp_path / "other.xml"
+    path.write_text((tmp_path / f"{SPAMOD}.xml").read_text().replace("-0.8 0.0</VECTOR>", "-0.8</VECTOR>"))
+    with pytest.raises(RawDataError, match="STR2_ATT_QUATERNION: found 3 numbers, expected 4"):
+        corrected_gipp(path, CORRECTION, tracker.R_cs0, tracker.name)
     with pytest.raises(RawDataError, match="a SPAMOD or VIEDIR file"):
         corrected_gipp(datastrip, CORRECTION, head.R_cs0, head.name)
 
