@@ -333,6 +333,9 @@ def test_a_dump_gives_the_same_matrix_in_memory_and_in_a_folder(
     assert np.array_equal(written["covariance_rad2"], estimate.cov_theta)
     validation = bs.validate(estimate, dump)
     assert bs.validate(again, dump).nees == validation.nees < 11.3  # chi-square, 3 degrees of freedom, 99 %
+    table = validation.table()
+    np.testing.assert_array_equal(drawn(validation.plot()), table[["across_m", "along_m"]])
+    assert len(table) and not np.allclose(table[["across_m", "along_m"]], table[["along_m", "across_m"]])
     for result in (estimate, in_folder, tmp_path / "result"):
         with pytest.raises(bs.RawDataError, match="another dump"):
             bs.validate(result, MINI)

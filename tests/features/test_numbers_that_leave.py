@@ -221,6 +221,9 @@ def results_shown(folder: Path) -> tuple[Any, Any]:
     made = [Match.table(match), both.blind_spots, both.between_cameras, asked.table()]
     made += [" ".join(one.split()) for one in (Match.summary(match), both.summary())]
     made += [" ".join(one.summary().split()) for one in (asked, compared)]
+    axes, bars = asked.plot(), compared.plot().containers[0]
+    made += [[line.get_ydata() for line in axes.lines], [text.get_text() for text in axes.get_legend().texts]]
+    made += [[bars.lines[0].get_ydata(), *(part[:, 1] for part in bars.lines[2][0].get_segments())]]
     right: list[Any] = [
         {"x_px": [84.25], "y_px": [90.5], "sigma_x_px": [0.2], "sigma_y_px": [0.5]}
         | {"correlation": [0.875], "probability_wrong": [2e-7]},
@@ -256,6 +259,9 @@ def results_shown(folder: Path) -> tuple[Any, Any]:
         "shared, so not independent: 2 strips and the camera's distortion "
         f"no sign that the matrices differ: chi2 / dof 6.50 / 3, p {p[1]:.3g} "
         "0 inputs, settings or versions differ",
+        [sigma[3:], sigma[:3]],
+        ["1 sigma", "1 sigma now"],
+        [[3.0, -1.0, 4.0], [2.5, 3.5], [-2.5, 0.5], [1.5, 6.5]],
     ]
 
 

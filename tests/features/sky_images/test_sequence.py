@@ -75,6 +75,15 @@ def test_the_rate_is_that_of_the_slew(slew) -> None:
     np.testing.assert_allclose(found.rate_deg_s[at], rate, atol=0.03)
 
 
+def test_a_plot_of_a_sequence_has_its_rates_and_a_line_where_a_frame_is_lost(slew) -> None:
+    simulated, found = slew
+    *rates, lost = found.plot().lines
+    for line, rate, name in zip(rates, found.rate_deg_s.T, "xyz", strict=True):
+        np.testing.assert_array_equal(line.get_xydata(), np.column_stack([simulated.times_s, rate]))
+        assert line.get_label() == f"about {name}"
+    assert set(lost.get_xdata()) == {simulated.times_s[n] for n in simulated.glare}
+
+
 def test_a_jump_is_found_anew_and_not_tracked_wrongly() -> None:
     here, there = (sequence(INDEX, seed, 12, fastest_deg_s=0.0) for seed in (21, 22))
     images = here.images[:4] + there.images[:4]
