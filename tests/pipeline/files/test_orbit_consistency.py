@@ -117,6 +117,8 @@ def test_order_of_time_and_gaps():
     t, p, v = ephemeris()
     fault = find_orbit_fault(t[::-1], p[::-1], v[::-1], "ITRF")
     assert fault is not None and fault.fault is OrbitFault.NOT_ORDERED and fault.state == 1
+    fault = find_orbit_fault(np.where(np.arange(70) == 30, t - 2.5, t), p, v, "ITRF")
+    assert str(fault).endswith(f"at state 31: {2.5 - (t[1] - t[0]):g} s back")
     keep = np.r_[0:20, 45:70]
     assert find_orbit_fault(t[keep], p[keep], v[keep], "ITRF") is None
 
