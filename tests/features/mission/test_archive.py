@@ -38,10 +38,11 @@ def mission_in(archive, results=40, refuted=(), exchanged=None, seed=0, step=1.0
 
 
 def test_a_series_of_the_archive_is_that_of_its_results(tmp_path):
-    mission_in(tmp_path, 6, refuted=(2,))
+    mission_in(tmp_path, 6, refuted=(2,), exchanged=1)
     (found,) = series_of(tmp_path)
     assert found.series.names == ("r000", "r001", "r003", "r004", "r005")
     assert [(row["id"], row["reason"]) for row in found.left_out] == [("r002", "refuted")]
+    assert found.series.exchanges == (1,)
     expected = 5 * PAIR.F[0, 3:, 3:] + DrawnMission(PAIR, np.random.default_rng(0)).prior
     np.testing.assert_allclose(found.series.shared_F, expected, rtol=1e-12)
 
