@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import combinations
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from frames import PAPER_CAMERA, Sensor, listed_stars, star_frame
 from scipy.spatial.transform import Rotation
 
 from boresight.features.sky_images import sky_plan
-from boresight.features.sky_images.field_plan import _outline, _pieces
+from boresight.features.sky_images.field_plan import _outline, _pieces, _wanted
 from boresight.features.sky_images.sky_plan import StarImageModel, plan_pointings
 from boresight.star_id.camera_calibration import SkyFrame, calibrate_camera
 from boresight.star_id.camera_fit import detector_grid
@@ -130,3 +131,17 @@ def test_an_outline_that_leaves_the_map_comes_back_in_another_piece():
     pieces = _pieces(outline)
     assert len(pieces) > 1 and all(np.ptp(ra) < 180.0 for ra, _ in pieces)
     assert np.array_equal(np.hstack(pieces), outline)
+
+
+@pytest.mark.parametrize(
+    ("wanted_px", "says"),
+    [
+        (0.15, "3 images reach 0.15 px"),
+        (0.5, "1 images reach 0.5 px"),
+        # the error falls with the root of the number of images: 3 (0.1 / 0.03)^2 = 33.3
+        (0.03, "MISSED: 3 images reach 0.1000 px, not 0.03; some 34 would"),
+    ],
+)
+def test_images_that_a_wanted_error_needs_are_those_of_the_plan_or_as_many_as_its_law_says(wanted_px, says):
+    plan = SimpleNamespace(pointings=[SimpleNamespace(sigma_px=sigma) for sigma in (0.4, 0.2, 0.1)])
+    assert _wanted(plan, wanted_px) == (says, not says.startswith("MISSED"))  # type: ignore[arg-type]

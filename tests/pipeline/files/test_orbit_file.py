@@ -94,6 +94,7 @@ VERSION = "CCSDS_OEM_VERS = 2.0\n"
 SAME: dict[str, Callable[[str], str]] = {
     "byte order mark": lambda text: "\ufeff" + text,
     "byte order mark, other letters": lambda text: "\ufeff" + text.replace("\n\n", "\nCOMMENT é\n\n"),
+    "accelerations of some states": lambda text: text.replace("-1e-3\n", "-1e-3 9 8 7\n", 7),
     "empty lines": lambda text: "\n \n" + text,
     "version 3": lambda text: text.replace(
         VERSION, "CCSDS_OEM_VERS = 3.0\nCLASSIFICATION = public, no limits\nMESSAGE_ID = OEM 201113719185\n"
@@ -108,6 +109,7 @@ def test_what_says_the_same_is_read_the_same(form: str, tmp_path: Path) -> None:
     plain, found = read(tmp_path, text), read(tmp_path, other)
     assert other != text and found.epoch == plain.epoch and np.array_equal(found.t_s, plain.t_s)
     assert np.array_equal(found.positions_m, plain.positions_m)
+    assert np.array_equal(found.velocities_m_s, plain.velocities_m_s)
 
 
 @pytest.mark.parametrize(

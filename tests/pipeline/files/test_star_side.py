@@ -62,11 +62,17 @@ def test_attitudes_and_points_are_read(attitudes: Path) -> None:
 
 
 def test_white_noise_is_stated_once(attitudes: Path) -> None:
+    white_rad2 = np.diag(np.radians(np.array([1.0, 2.0, 7.0]) / 3600.0) ** 2)
+    (head,) = changed(attitudes, "[1, 1, 7]", "[1, 2, 7]").heads
+    np.testing.assert_allclose(head.source.usual_covariance_s(head.noise), white_rad2)
     with pytest.raises(RawDataError, match=r"noise\.white_arcsec of STR1.*neither in the rows nor here"):
-        changed(attitudes, "white_arcsec = [1, 1, 7]\n", "")
-    sigma = {f"sigma_{axis}_arcsec": value for axis, value in zip("xyz", "117")}
-    write_rows(attitudes / "str1.csv", [row | sigma for row in rows_of(attitudes / "str1.csv")])
-    open_dump(attitudes)
+        changed(attitudes, "white_arcsec = [1, 2, 7]\n", "")
+    # rows of three sizes, most of them twice the white noise
+    sigma = [{f"sigma_{axis}_arcsec": k * s for axis, s in zip("xyz", (1, 2, 7))} for k in (3, 2, 1, 2, 2)]
+    rows = [row | sigma[n % 5] for n, row in enumerate(rows_of(attitudes / "str1.csv"))]
+    write_rows(attitudes / "str1.csv", rows)
+    (head,) = open_dump(attitudes).heads
+    np.testing.assert_allclose(head.source.usual_covariance_s(head.noise), 4.0 * white_rad2)
     with pytest.raises(RawDataError, match=r"and in the rows of str1\.csv"):
         changed(attitudes, "[star_cameras.noise]\n", "[star_cameras.noise]\nwhite_arcsec = [1, 1, 7]\n")
 
