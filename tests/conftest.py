@@ -11,7 +11,7 @@ import sys
 import sysconfig
 import tempfile
 import venv
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
@@ -116,9 +116,9 @@ def demo(made_once) -> Path:
     return made_once("demo", fill)
 
 
-@pytest.fixture(autouse=True)
-def tables_keep_to_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every command that any test runs to its end prints tables of 80 columns at most."""
+@pytest.fixture(autouse=True, scope="session")
+def tables_keep_to_a_terminal() -> Iterator[None]:
+    """Every command that any test or fixture runs to its end prints tables of 80 columns at most."""
     asked = CliRunner.invoke
 
     def invoke(self: CliRunner, *given: object, **named: object) -> Result:
@@ -126,7 +126,9 @@ def tables_keep_to_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
         assert not (wide := wide_rows(done.stdout)), wide
         return done
 
-    monkeypatch.setattr(CliRunner, "invoke", invoke)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(CliRunner, "invoke", invoke)
+        yield
 
 
 @pytest.fixture

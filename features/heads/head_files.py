@@ -166,7 +166,7 @@ def heads_lines(found: HeadsAlone) -> list[str]:
     for one, stated in zip(found.alignments, found.stated):
         difference = (one.R_sh * stated.inv()).as_rotvec()
         statistic = float(difference @ np.linalg.solve(one.covariance_s, difference))
-        quaternion = "".join(f"{value:+14.9f}" for value in one.R_sh.as_quat(canonical=True))
+        quaternion = "".join(f"{value:+13.9f}" for value in one.R_sh.as_quat(canonical=True))
         z_stated = float(np.arccos(np.clip(stated.apply([0, 0, 1])[2], -1.0, 1.0)))
         off = (one.angle_rad - z_stated) / ARCSEC
         sigmas = abs(off) * ARCSEC / one.sigma_angle_rad
@@ -174,16 +174,15 @@ def heads_lines(found: HeadsAlone) -> list[str]:
             f"{one.head} to {found.reference}, {one.n_rows} common instants",
             f"  {'quaternion, scalar last':26s}{quaternion}",
             f"{'  1 sigma about x y z, arcsec':30s}{_numbers(np.sqrt(np.diag(one.covariance_s)))}",
-            f"{'  against the stated matrices':30s}{_numbers(difference)}"
-            f"   chi2 {statistic:.1f} of 3, p {float(chdtrc(3, statistic)):.1e}",
+            f"{'  against the stated matrices':30s}{_numbers(difference)}",
+            f"    chi2 {statistic:.1f} of 3, p {float(chdtrc(3, statistic)):.1e}",
             f"  angle between lines of sight {np.degrees(one.angle_rad):.5f} deg ± "
             f"{one.sigma_angle_rad / ARCSEC:.2f} arcsec, stated {np.degrees(z_stated):.5f} deg: "
             f"{off:+.2f} arcsec, {sigmas:.1f} sigma",
         ]
-        lines += [
-            f"{f'  per {term.name}, arcsec':30s}{_numbers(term.value)}   ±{_numbers(term.sigma)}"
-            for term in one.terms
-        ]
+        for term in one.terms:
+            lines.append(f"{f'  per {term.name}, arcsec':30s}{_numbers(term.value)}")
+            lines.append(f"{'    1 sigma':30s}{_numbers(term.sigma)}")
         lines.append(_offset_line(one))
     return lines
 
