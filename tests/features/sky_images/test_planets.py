@@ -1,6 +1,7 @@
 """Planets' directions against published conjunctions, and a planet told in an image."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -62,3 +63,18 @@ def test_a_planet_among_the_stars_is_told():
     assert {"Jupiter", "Saturn"} <= set(seen)
     assert seen["Jupiter"].detection == 1
     assert np.hypot(seen["Jupiter"].x_px - xy[0, 0], seen["Jupiter"].y_px - xy[0, 1]) < 2.0
+
+
+@pytest.mark.parametrize(
+    ("arcsec_px", "off_px", "detection"), [(5.0, 20.0, 0), (5.0, 28.0, -1), (80.0, 2.5, 0), (80.0, 4.0, -1)]
+)
+def test_a_detection_is_a_planet_within_two_minutes_of_arc_or_three_pixels(arcsec_px, off_px, detection):
+    observer = at("2020-12-21T18:20:00")
+    names, u_i = planet_directions(observer)
+    camera = replace(WIDE, focal_m=WIDE.pixel_m * 206_264.8 / arcsec_px)
+    R_si = Rotation.align_vectors([[0.0, 0.0, 1.0]], [u_i[names.index("Mars")]])[0]
+    xy = camera.pixels_from_directions(np.array([[0.0, 0.0, 1.0]])) + off_px * np.array([0.6, -0.8])
+    stars = SimpleNamespace(xy_px=xy, snr=np.array([50.0]))
+    found = SimpleNamespace(camera=camera, R_si=R_si, stars=stars, detections=np.array([], dtype=int))
+    (planet,) = planets_in_view(found, observer)  # type: ignore[arg-type]
+    assert (planet.name, planet.detection) == ("Mars", detection)
