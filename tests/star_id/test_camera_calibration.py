@@ -126,14 +126,22 @@ def test_too_few_stars_is_an_answer(index):
     assert isinstance(answer, NotIdentified) and "20 are needed" in answer.reason
 
 
-def test_sip_header_means_to_astropy_what_the_camera_means_here():
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("beta", [[0.0, 0.0, 0.0], [1.6e-4, -0.9e-4, 0.7e-4]], ids=["still", "moving"])
+def test_sip_header_means_to_astropy_what_the_camera_means_here(beta, mirrored):
+    """And what the sky is without the aberration of a velocity, over that of light, of some 3 px."""
+
+    def at_rest(u_i):
+        return (u_i - beta) / np.linalg.norm(u_i - beta, axis=1)[:, None]
+
     R_si = Rotation.from_euler("xyz", [40, -65, 110], degrees=True)
-    header = tan_sip(TRUTH, R_si)
+    header = tan_sip(TRUTH, R_si, sky_of=at_rest, mirrored=mirrored)
     assert header.largest_misfit_px < 1e-3
     rng = np.random.default_rng(2)
     xy = rng.uniform([0, 0], [5119, 3839], (200, 2))
-    sky = WCS(header.cards()).all_pix2world(xy, 0)
-    u_i = R_si.inv().apply(TRUTH.directions_from_pixels(xy))
+    own = [5119.0, 0.0] + xy * [-1.0, 1.0] if mirrored else xy  # of the image as it is
+    sky = WCS(header.cards()).all_pix2world(own, 0)
+    u_i = at_rest(R_si.inv().apply(TRUTH.directions_from_pixels(xy)))
     ra, dec = np.radians(sky.T)
     other = np.column_stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
     assert np.linalg.norm(u_i - other, axis=1).max() < 2e-3 * TRUTH.pixel_m / TRUTH.focal_m  # 2e-3 px
