@@ -31,14 +31,16 @@ from frames import SMALL_CAMERA as CAMERA
 from frames import Sensor, as_seen, directions_of, render, star_frame
 
 import boresight as bs
-from boresight.features.sky_images import centroid_report, field_plan, star_camera_report
+from boresight.features.sky_images import centroid_report, field_plan, identify_images, star_camera_report
 from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.starlight import GroundSite
 from boresight.pipeline.errors import RawDataError
 from boresight.star_id.catalogue import hipparcos_stars
+from boresight.star_id.field import nominal_camera
 from boresight.star_id.observer import Observer
+from boresight.star_id.settings import StarSettings
 
 MINI = Path(__file__).resolve().parents[3] / "fixtures" / "mini"
 
@@ -473,12 +475,45 @@ def test_a_camera_that_is_not_yet_built_is_planned_by_its_numbers(folder, tmp_pa
         (("--size", 1000, 1000, "--focal-mm", 50), "--pixel-um"),
         (("--size", 1000, 1000, "--fov", 10), "--limit-mag"),
         (("--size", 1000, 1000, "--fov", 120, "--limit-mag", 6), "between 0.5 and 90"),
-        (("--size", 10, 1000, "--fov", 20, "--limit-mag", 6), "32 pixels"),
+        (("--size", 1000, 31, "--fov", 20, "--limit-mag", 6), "32 pixels"),
     ],
 )
 def test_what_a_planned_camera_lacks_is_named(given, named):
     wrong = run("star-camera-plan", *given)
     assert isinstance(wrong.exception, RawDataError) and named in str(wrong.exception)
+
+
+def test_the_smallest_and_widest_cameras_that_are_not_refused_have_the_field_that_is_stated():
+    for size_px, fov_deg in (((32, 50), 89.9), ((900, 32), 0.51)):
+        camera = field_plan.camera_of_numbers(
+            field_plan.CameraNumbers(size_px=size_px, fov_deg=fov_deg), None
+        )
+        assert (camera.width_px, camera.height_px) == size_px
+        assert np.degrees(camera.fov_x_rad) == pytest.approx(fov_deg, rel=1e-9)
+    for fov_deg in (90.1, 0.49):
+        with pytest.raises(RawDataError, match=r"between 0\.5 and 90"):
+            field_plan.camera_of_numbers(field_plan.CameraNumbers(size_px=(32, 32), fov_deg=fov_deg), None)
+
+
+@pytest.mark.parametrize("size_px", [(1920, 1080), (1024, 1024), (1200, 1500)])  # wide, square, tall
+@pytest.mark.parametrize("fov_deg", [1.5, 64.0])  # beyond those of unknown cameras on either side
+def test_triangles_are_as_large_as_those_of_any_image_of_a_stated_field_within_its_tolerance(
+    fov_deg, size_px, monkeypatch
+):
+    spans = []
+    monkeypatch.setattr(identify_images, "_built", spans.append)
+    for tolerance in (0.1, 0.3):
+        settings = StarSettings(fov_tolerance=tolerance)
+        identify_images.sky_index(None, fov_deg, settings)
+        for off in (1.0 - tolerance, 1.0, 1.0 + tolerance):
+            camera = nominal_camera(size_px, np.radians(off * fov_deg))
+            identify_images.sky_index(camera, None, settings)
+            # the image of 4:3 whose detector has the same area, by its two corners
+            wide = np.sqrt(camera.width_px * camera.height_px * 4.0 / 3.0) * camera.pixel_m
+            assert spans[-1] == pytest.approx(2.0 * np.arctan(0.5 * wide / camera.focal_m), rel=1e-9)
+            low, high = spans[0]
+            assert low < spans.pop() < high
+        spans.clear()
 
 
 def test_a_field_of_too_few_stars_is_no_plan():
