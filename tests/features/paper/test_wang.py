@@ -38,6 +38,19 @@ def test_polynomials_take_out_polynomials_and_nothing_else():
     assert np.std(polynomial_residuals(t, wave, 7)) > 0.6  # of 0.71: six waves are beyond order 7
 
 
+@pytest.mark.parametrize(("origin_s", "unit_s"), [(0.0, 1.0), (8e8, 1.0), (-3e5, 1e-3), (50.0, 3600.0)])
+def test_residuals_depend_neither_on_the_origin_nor_on_the_unit_of_time(origin_s, unit_s):
+    t = np.sort(np.random.default_rng(4).uniform(0.0, 24.0, 150))
+    waves = np.column_stack([np.sin(t / k) for k in (0.7, 1.1, 5.0)])
+    for order in (3, 7):
+        series = np.polynomial.Chebyshev.fit(t, np.zeros(150), order)
+        basis = np.polynomial.chebyshev.chebvander(series.mapparms()[0] + series.mapparms()[1] * t, order)
+        expected = waves - basis @ np.linalg.lstsq(basis, waves, rcond=None)[0]
+        # 8e8 s is rounded to 1e-7 s, the waves change by 1.4 a second
+        found = polynomial_residuals(origin_s + unit_s * t, waves, order)
+        np.testing.assert_allclose(found, expected, atol=1e-6)
+
+
 def test_the_result_is_the_mean_over_all_strips_not_the_first_one():
     strips, _ = draw_strips(StripPlan(strips=4, targets=20), CAMERAS, np.random.default_rng(6))
     found = wang_calibrate(strips, R_CS0)
