@@ -134,7 +134,7 @@ def test_trackers_are_heads_with_the_operators_mounting(sentinel2):
 
 def test_places_of_an_imported_pleiades_strip_are_the_operators(tmp_path):
     product = tmp_path / "dimap.xml"
-    product.write_text(dimap_text())
+    product.write_text(dimap_text().replace("48:55.449", "48:55.949"))
     strip = operator_model(product)
     (tmp_path / "points.csv").write_text(POINTS.format(strip="PAN", ccd=0))
     ran("import", "dimap", product, tmp_path / "dump", "--points", tmp_path / "points.csv")
@@ -150,6 +150,10 @@ def test_places_of_an_imported_pleiades_strip_are_the_operators(tmp_path):
     found = model_of(dump).ground_points(0, sample, line, ConstantHeight(0.0))
     assert np.isfinite(expected).all()
     assert np.linalg.norm(found - expected, axis=1).max() < 1e-3  # m: nanoseconds, micrometres
+    t_s, rows = dump.heads[0].source.rows.t_s, dump.strips[0].clock
+    assert np.diff(t_s) == pytest.approx(0.1, abs=2e-9)  # s: nanoseconds of two times
+    spare_s = rows.t_first_row_s - t_s[0], t_s[-1] - rows.t_first_row_s - 9000 * rows.row_period_s
+    assert min(spare_s) > 0.499 and max(spare_s) < 0.601  # half a second, and on to a multiple of the step
 
 
 def test_wrong_usage_is_told(sentinel2, tmp_path):
