@@ -4,23 +4,31 @@ import json
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace as Of
 
 import cv2
 import numpy as np
 import pandas as pd
 import pytest
 import rasterio
+import strips
 from command_line import invoked, ran
 from edits import rows_of
 from fixture_strips import FIXTURE, strip_of_fixture
 from pyproj import Transformer
 from rasters import write_raster
 from recorded_numbers import assert_recorded, columns_of, numbers_in
+from scipy.integrate import quad
+from scipy.spatial.transform import Rotation
+from scipy.stats import norm
 
 from boresight.features.targets import suggestions
 from boresight.features.targets.ortho_files import RasterWindow, open_raster, read_heights
+from boresight.geometry.constants import ARCSEC
 from boresight.geometry.geoid import egm96
+from boresight.geometry.terrain import ConstantHeight
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.dump import open_dump
 
@@ -234,3 +242,44 @@ def test_the_folder_goes_into_the_dump(at_a_strip: tuple[Path, Path], tmp_path: 
     shutil.copy(tmp_path / "t" / "targets.csv", dump / "targets.csv")
     assert [target.target_id for target in open_dump(dump).targets] == [row["id"] for row in rows]
     assert "in view of s02" in ran("dump", "check", dump).output
+
+
+def test_the_chance_that_a_strip_shows_a_place_is_that_of_the_error_of_the_matrix(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    model = strips.strip()
+    monkeypatch.setattr(suggestions, "pushbroom_of", lambda task: model)
+    # arcsec about x, y, z of c; the last, about the line of sight, does not count
+    sigma, lines = np.array([70.0, 25.0, 1.0]) * ARCSEC, {0: 20_000, 2: 26_000}
+    task = Of(camera=model.camera, strip=Of(ccd_lines=lines, strip_id="s"), sigma_installation_rad=sigma)
+    ccd = [0, 2, 2, 0, 2, 2]
+    at = np.array(
+        [[-90, 9e3], [2e3, 26_040], [3e3, 7e3], [6_300, -60], [15, 25_930], [4e3, 26_700]], dtype=np.float64
+    )
+    p_e = [model.ground_points(c, *xy[:, None], ConstantHeight(50.0))[0] for c, xy in zip(ccd, at)]
+    rows = zip("abcdef", p_e, (0.1, 0.2, 0.3, 0.4, 0.5, 0.6), (0.9, 0.8, 0.7, 0.6, 0.5, 0.4))
+    named = [Of(target_id=id, p_e=p, sigma_px=px, probability=same) for id, p, px, same in rows]
+    matched, chance = suggestions._in_view(task, named)
+    assert matched.target_id.tolist() == list("abcde") and matched.ccd.tolist() == ccd[:5]
+
+    turns = [Rotation.from_rotvec(1e-5 * axis) for axis in np.eye(3)[:2]]
+    expected = []
+    for n in range(5):
+        most = np.array([6144, lines[ccd[n]]]) - 1
+        moved = [
+            replace(model, R_cs=turn * model.R_cs).pixels_from_ground(ccd[n], [p_e[n]]) for turn in turns
+        ]
+        slopes = (np.array(moved)[:, :, 0] - at[n]) / 1e-5 * sigma[:2, None]  # px a sigma about x and y
+        inside = [
+            quad(norm(x, np.hypot(*slope)).pdf, 0.0, end, points=[x, 0.0, end])[0]
+            for x, slope, end in zip(at[n], slopes.T, most)
+        ]
+        expected.append(named[n].probability * np.prod(inside))
+        assert matched.xy_px[n] == pytest.approx(np.clip(at[n], 0.0, most), abs=1e-3)  # px
+        assert matched.cov_px[n] == pytest.approx(named[n].sigma_px ** 2 * np.eye(2), rel=1e-12)
+    # 5e-3: the scale of the first pixel stands for all of a strip, in which it changes by 2e-3
+    np.testing.assert_allclose(chance, expected, rtol=5e-3)
+    # Of few pixels and an error of some, where one pixel counts.
+    places = np.array([-4.0, 0.0, 7.0, 38.0, 41.0])
+    narrow = [quad(norm(x, 2.5).pdf, 0.0, 39.0, points=[0.0, 39.0])[0] for x in places]
+    assert suggestions._inside(np.append(places, np.nan), 40, 2.5) == pytest.approx([*narrow, 0.0], abs=1e-8)
