@@ -6,7 +6,9 @@ import threading
 import tomllib
 from collections.abc import Iterator
 from datetime import UTC, datetime
+from itertools import combinations
 from pathlib import Path
+from types import SimpleNamespace as Of
 
 import numpy as np
 import pystac
@@ -18,7 +20,7 @@ from pyproj import Transformer
 from scipy.ndimage import gaussian_filter, shift
 from stored import bucket_served
 
-from boresight.features.targets.stac_items import StacQuery, stac_images
+from boresight.features.targets.stac_items import StacQuery, _is_wanted, stac_images
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.object_store import dump_folder
 
@@ -242,3 +244,26 @@ def test_years_of_real_aerial_images_give_ten_targets(tmp_path: Path) -> None:
     rows, _ = suggested(tmp_path / "t", "--stac", catalogue, "--size-px", 96)
     assert len(rows) >= 10
     assert len({row["id"] for row in rows}) == len(rows)
+
+
+@pytest.mark.parametrize("with_heights", [False, True])
+def test_an_item_is_wanted_where_its_box_meets_that_of_the_query_and_its_day_is_one_of_the_days(
+    with_heights: bool,
+) -> None:
+    low, high = (10.0, 40.0), (12.0, 45.0)
+    box = [*low, -100.0, *high, 9000.0] if with_heights else [*low, *high]
+    item = Of(bbox=box, datetime=datetime(2020, 5, 17, 23, tzinfo=UTC))
+    places = (
+        np.array([9.0, 9.9, 10.1, 11.0, 11.9, 12.1, 13.0]),
+        np.array([39.0, 39.9, 40.1, 43.0, 44.9, 45.1]),
+    )
+    for west, east in combinations(places[0], 2):
+        for south, north in combinations(places[1], 2):
+            x, y = (np.linspace(a, b, 201) for a, b in ((west, east), (south, north)))
+            meets = ((low[0] < x) & (x < high[0])).any() and ((low[1] < y) & (y < high[1])).any()
+            assert _is_wanted(item, StacQuery(bbox=(west, south, east, north))) == meets
+    for days, wanted in (
+        *(("", True), ("2020-05-17/2020-05-17", True), ("2020-05-18/", False), ("2020-05-17/..", True)),
+        *(("/2020-05-16", False), ("../2020-05-17", True), ("2019-01-01/2021-01-01", True)),
+    ):
+        assert _is_wanted(item, StacQuery(days=days)) == wanted, days

@@ -283,3 +283,71 @@ def test_the_chance_that_a_strip_shows_a_place_is_that_of_the_error_of_the_matri
     places = np.array([-4.0, 0.0, 7.0, 38.0, 41.0])
     narrow = [quad(norm(x, 2.5).pdf, 0.0, 39.0, points=[0.0, 39.0])[0] for x in places]
     assert suggestions._inside(np.append(places, np.nan), 40, 2.5) == pytest.approx([*narrow, 0.0], abs=1e-8)
+
+
+ROTATED = rasterio.Affine(1.9, 0.7, 4e5, 0.6, -2.3, 5e6)  # m; rows and columns of different lengths
+
+
+def ramp(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """A brightness that shows any shift of a map, DN; its mean over a pixel is that of the middle."""
+    return 0.05 * (x - 4e5) + 0.13 * (y - 5e6) + 200.0
+
+
+def brightness_where_pixels_lie(window: RasterWindow) -> tuple[np.ndarray, np.ndarray]:
+    rows, columns = np.indices(window.values.shape) + 0.5
+    a, b, c, d, e, f = window.transform
+    return window.values, ramp(a * columns + b * rows + c, d * columns + e * rows + f)
+
+
+def test_pixels_of_a_window_lie_where_its_map_puts_them(tmp_path: Path) -> None:
+    rows, columns = np.indices((90, 120)) + 0.5
+    file = open_raster(
+        write(tmp_path / "r.tif", ramp(*(ROTATED @ (columns, rows))).astype(np.float32), transform=ROTATED)
+    )
+    for step, size in ((1, (31, 23)), (2, (40, 24)), (4, (36, 60))):
+        found, expected = brightness_where_pixels_lie(file.window(11, 5, *size, step))
+        assert found.shape == (size[1] // step, size[0] // step)
+        np.testing.assert_allclose(found, expected, atol=1e-4)  # DN: single precision
+    # on pixels of its own size and on those three times as large, whose means are taken, turned the other way
+    for scale in (1.0, 3.0):
+        turned = rasterio.Affine.translation(400090.0, 4999930.0) @ rasterio.Affine.rotation(-20.0)
+        there = turned @ rasterio.Affine.scale(2.1 * scale, -1.8 * scale)
+        like = RasterWindow(np.zeros((14, 9), np.float32), tuple(there)[:6], file.crs)
+        found, expected = brightness_where_pixels_lie(file.resampled(like))
+        np.testing.assert_allclose(
+            found, expected, atol=0.01
+        )  # DN: 0.03 px; GDAL's map between pixels is good to 1/8 px
+    beyond = RasterWindow(np.zeros((14, 9), np.float32), (2.0, 0.0, 3.9e5, 0.0, -2.0, 5e6), file.crs)
+    assert np.isnan(file.resampled(beyond).values).all()
+
+
+@pytest.mark.parametrize(("sigma_px", "most_px"), [(0.1, 1.0), (0.6, 1.8)])
+def test_a_match_is_of_the_same_thing_up_to_1_px_and_3_sigma_beyond_what_the_dates_have_in_common(
+    sigma_px: float, most_px: float
+) -> None:
+    pixel_m = np.array([[1.9, 0.7], [0.6, -2.3]])
+    common_px, towards = np.array([2.0, -3.0]), np.array([0.6, -0.8])
+    for off_px, others, kept in ((most_px - 0.01, 2, True), (most_px + 0.01, 2, False), (0.1, 3, False)):
+        one = suggestions.Again("old", common_px + off_px * towards, sigma_px)
+        place = suggestions.Candidate(
+            target_id="t",
+            ortho=Of(label="new"),
+            place=None,
+            lat_deg=45.0,
+            lon_deg=13.0,
+            height_m=0.0,
+            height_kind="egm96",
+            p_e=np.zeros(3),
+            pixel_m=pixel_m,
+            stated_m=(1.0, 1.0),
+            others=others,
+            again=(one,),
+        )
+        found = suggestions._stable(place, {("new", "old"): pixel_m @ common_px})
+        assert (found is not None) == kept
+        if found:
+            assert found.again[0].offset_px == pytest.approx(off_px * towards, abs=1e-12)
+        # Of a date without places enough, the match itself is what both have in common.
+        alone = suggestions._stable(place, {})
+        assert (alone is not None) == (others == 2)
+        assert alone is None or alone.again[0].offset_px == pytest.approx([0.0, 0.0], abs=1e-12)
