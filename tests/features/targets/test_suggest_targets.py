@@ -308,15 +308,14 @@ def test_pixels_of_a_window_lie_where_its_map_puts_them(tmp_path: Path) -> None:
         found, expected = brightness_where_pixels_lie(file.window(11, 5, *size, step))
         assert found.shape == (size[1] // step, size[0] // step)
         np.testing.assert_allclose(found, expected, atol=1e-4)  # DN: single precision
-    # on pixels of its own size and on those three times as large, whose means are taken, turned the other way
+    # on turned pixels of its own size, and on those three times as large, of which means are taken
     for scale in (1.0, 3.0):
         turned = rasterio.Affine.translation(400090.0, 4999930.0) @ rasterio.Affine.rotation(-20.0)
         there = turned @ rasterio.Affine.scale(2.1 * scale, -1.8 * scale)
         like = RasterWindow(np.zeros((14, 9), np.float32), tuple(there)[:6], file.crs)
         found, expected = brightness_where_pixels_lie(file.resampled(like))
-        np.testing.assert_allclose(
-            found, expected, atol=0.01
-        )  # DN: 0.03 px; GDAL's map between pixels is good to 1/8 px
+        # GDAL's own map between pixels is good to 1/8 of a pixel, of 0.17 and 0.26 DN a column and a row
+        assert np.abs(found - expected).max() < 0.055 * scale and abs((found - expected).mean()) < 2e-3
     beyond = RasterWindow(np.zeros((14, 9), np.float32), (2.0, 0.0, 3.9e5, 0.0, -2.0, 5e6), file.crs)
     assert np.isnan(file.resampled(beyond).values).all()
 
