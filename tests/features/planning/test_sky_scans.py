@@ -37,10 +37,18 @@ def chosen(*progress, first_s=0.0, **asked):
     return choose_scans(CAMERAS, all_hipparcos(), first_s, CalibrationSettings(), settings, *progress)
 
 
-@pytest.mark.parametrize("days", [-4.5, 3.2, 731.0])
-def test_an_orbit_is_not_continued_further_than_stated(days):
-    with pytest.raises(ValueError, match=r"the orbit covers 2024-11-20T03:39 .* continued by 3 days at most"):
-        choose_scans(CAMERAS, all_hipparcos(), days * 86400.0, CalibrationSettings(), ScanSettings())
+@pytest.mark.parametrize(
+    ("days", "hours", "is_covered"),
+    [
+        *((-4.5, 24.0, False), (3.2, 24.0, False), (731.0, 24.0, False)),
+        *((-3.1, 72.0, False), (2.7, 8.0, False), (-2.9, 6.0, True), (2.7, 6.0, True)),
+    ],
+)
+def test_an_orbit_is_not_continued_further_than_stated(days, hours, is_covered):
+    settings = ScanSettings(hours=hours, candidates=2, sun_deg=180.0)  # none of two is clear of the Sun
+    stated = r"the orbit covers 2024-11-20T03:39 .* continued by 3 days at most"
+    with pytest.raises(ValueError, match="0 of 2 candidates hold stars" if is_covered else stated):
+        choose_scans(CAMERAS, all_hipparcos(), days * 86400.0, CalibrationSettings(), settings)
 
 
 def test_angles_to_sun_moon_and_limb_are_those_of_astropy():

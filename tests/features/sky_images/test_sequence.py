@@ -24,6 +24,7 @@ from boresight.features.sky_images.tracking import (
     CameraMotion,
     StarFix,
     _psf_now,
+    _shift_of,
     motion_of_fix,
     predicted_motion,
     with_fix,
@@ -109,6 +110,29 @@ def test_a_trail_far_shorter_than_a_star_is_left_out(trail_px: float, has_one: b
     rate = np.array([trail_px * CAMERA.pixel_m / CAMERA.focal_m, 0.0, 0.0])
     found = _psf_now(Psf(2.0, 2.0, (0.0, 0.0), 1024, 1024), Of(rate_s=rate), CAMERA, 1.0)
     assert np.hypot(*found.smear_px) == pytest.approx(trail_px * has_one, rel=1e-2)
+
+
+@pytest.mark.parametrize(
+    ("reach", "shift", "squares"),
+    [(2.5, (1.0, -2.0), 1), (9.0, (-8.0, 3.0), 6 * 6), (24.0, (5.0, 21.0), 16 * 16)],
+)
+def test_the_shift_of_most_stars_is_found_and_as_many_are_counted_as_squares_that_are_the_same(
+    reach: float, shift: tuple[float, float], squares: int
+) -> None:
+    rng = np.random.default_rng(11)
+    xy = rng.uniform(60.0, 340.0, (16, 2))
+    image = rng.normal(100.0, 3.0, (400, 400))
+    for n, at in enumerate(xy):
+        # of three in sixteen, something else is in their places
+        off = np.array(shift) if n % 6 else rng.uniform(-reach, reach, 2)
+        row, column = np.indices(image.shape)
+        image += 300.0 * np.exp(
+            -0.5 * ((column - at[0] - off[0]) ** 2 + (row - at[1] - off[1]) ** 2) / 1.4**2
+        )
+    found, shifts = _shift_of(image, xy, Psf(1.4, 1.4, (0.0, 0.0), 400, 400), reach)
+    assert found == pytest.approx(shift, abs=0.6)  # px: whole pixels of a dozen stars, 0.1 px, neighbours
+    # within 3 px of the prediction a star is the same: that search is one, others have squares of 3 px
+    assert shifts == squares
 
 
 def test_times_must_increase() -> None:
