@@ -225,9 +225,9 @@ def _solved(normal: Floats, right: Floats) -> tuple[Floats, Floats]:
 
 def _angle(R_sh: Rotation) -> tuple[float, Floats]:
     """Angle between the lines of sight, and its derivative by a small rotation about the axes of s."""
-    z, other = np.array([0.0, 0.0, 1.0]), R_sh.apply([0.0, 0.0, 1.0])
-    normal = np.cross(z, other)
-    return float(np.arctan2(np.linalg.norm(normal), z @ other)), normal / np.linalg.norm(normal)
+    x, y, z = R_sh.as_matrix()[:, 2]
+    across = np.hypot(x, y)
+    return float(np.arctan2(across, z)), np.array([-y, x, 0.0]) / across
 
 
 def _terms(dump: Dump, track: HeadTrack, temperature: Floats | None) -> dict[str, Floats]:
