@@ -466,7 +466,7 @@ def fit_columns(series: MountingSeries, X: Floats, density: float = 0.0) -> Cour
     inverse = cho_solve(factor, np.eye(len(x)))[:n, :n] * np.outer(scale[:n], scale[:n])
     return CourseFit(
         coefficients=x[:n].reshape(-1, 3),
-        covariance=0.5 * (inverse + inverse.T),
+        covariance=inverse,
         shared=x[n:],
         explained=float(x @ normal.right),
     )

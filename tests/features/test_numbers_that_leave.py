@@ -289,7 +289,9 @@ def trend(folder: Path) -> tuple[Any, Any]:
         patch.setattr(joint_trend, "read_saved_mounting", saved.__getitem__)
         joint_trend.trend_of_dumps(folder, names)
     made = json.loads((folder / "drift.json").read_text())
-    assert set(made.pop("course")) >= {"terms", "steps", "random_walk"}  # as in test_mounting_course.py
+    of_course = made.pop("course")
+    assert set(of_course) >= {"terms", "steps", "random_walk"}  # as in test_mounting_course.py
+    assert of_course["dof"] == 0 and of_course["p_value"] == 1.0  # a mean and a step, two results
     mean = np.linalg.solve(F.sum(axis=0), F[0] @ THETA[0] + F[1] @ THETA[1])
     cov = np.linalg.inv(F.sum(axis=0))
     apart, of_each = THETA[1] - THETA[0], np.linalg.inv(F)

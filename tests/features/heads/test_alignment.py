@@ -67,8 +67,8 @@ def test_alignment_terms_and_errors_are_those_of_least_squares_with_the_covarian
     t = T[kept] + 7.3
     drift = Rotation.from_rotvec(np.outer(np.cos(0.1 * t), [12.0, -23.0, 35.0]) * ARCSEC)
     R_hi = R_SH.inv() * drift.inv() * motion(t - 0.012)
-    one = HeadTrack(name="A", t_s=T + 7.3, R_hi=motion(T + 7.3), R_oi=motion(T + 7.3))
-    two = HeadTrack(name="B", t_s=t, R_hi=R_hi, R_oi=motion(t))
+    one = HeadTrack(name="A", t_s=T + 1007.3, R_hi=motion(T + 7.3), R_oi=motion(T + 7.3))
+    two = HeadTrack(name="B", t_s=t + 1000.0, R_hi=R_hi, R_oi=motion(t))
     terms = {"degree": 20.0 + np.cos(0.1 * t), "wave": 3.0 * np.sin(0.27 * t), "one more": np.cos(0.4 * t)}
     found = align_heads(one, two, (noise[0], noise[1]), terms, constant_s)
 
@@ -108,7 +108,7 @@ def test_alignment_terms_and_errors_are_those_of_least_squares_with_the_covarian
     assert_allclose(np.concatenate(errors), sigma, rtol=0.01)
     assert_allclose(found.covariance_s, covariance[:3, :3], atol=0.01 * np.min(sigma[:3] ** 2))
     assert_allclose(found.block_sigma.ravel(), np.sqrt(np.diag(C)), rtol=0.03)
-    assert_allclose(found.block_t_s, middle, atol=1e-9)  # s: rounding
+    assert_allclose(found.block_t_s, middle + 1000.0, atol=1e-9)  # s: rounding
     assert_allclose(found.block_s, mean @ rho - best[:3], atol=0.02 * sigma[:3].min())
     turned = (Rotation.from_rotvec(1e-6 * np.eye(3)) * found.R_sh).apply([0.0, 0.0, 1.0])[:, 2]
     gradient = (np.arccos(turned) - found.angle_rad) / 1e-6

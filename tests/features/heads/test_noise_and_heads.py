@@ -219,9 +219,11 @@ def test_the_figure_has_the_allan_deviation_of_record_and_noise(record, noise):
 @pytest.fixture(scope="module")
 def heads(dump, tmp_path_factory):
     """The printed alignment, that for programs, and the figure."""
+    out = tmp_path_factory.mktemp("heads")
     with kept_figures(head_files) as figures:
-        text, told = called("heads", str(dump), "--out", str(tmp_path_factory.mktemp("heads")))
+        text, told = called("heads", str(dump), "--out", str(out))
     (one,) = told["dumps"]
+    assert json.loads((out / "heads.json").read_text()).items() <= one.items()
     return text, one, figures[0]
 
 

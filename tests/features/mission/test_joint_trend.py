@@ -14,16 +14,19 @@ import pytest
 from drawn_campaigns import BOLD, TABLE_1, assert_chi_square, squared
 from drawn_mission import DrawnMission, joint_information, lopsided_pair
 from numpy.testing import assert_allclose
-from scipy.stats import binom
+from scipy.stats import binom, chi2
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.distortion import prior_information
 from boresight.calib.information import InformationPairs
 from boresight.calib.settings import CalibrationSettings
+from boresight.features.mission import mounting_course
 from boresight.features.mission.joint_trend import against_rest
 from boresight.features.mission.mounting_course import (
     CourseModel,
+    CourseSettings,
     MountingSeries,
+    dated_steps,
     estimate_course,
     fit_columns,
 )
@@ -128,6 +131,64 @@ def test_the_likelihood_of_a_density_is_that_of_the_plain_normal_distribution():
 
     density = [x * ARCSEC**2 / DAY_S for x in (0.001, 0.01, 0.1, 1.0)]
     assert_allclose(np.diff([found(x) for x in density]), np.diff([plain(x) for x in density]), rtol=1e-5)
+
+
+@pytest.mark.parametrize("most_gaps", [1000, 6])
+@pytest.mark.parametrize("density", [0.0, (0.02 * ARCSEC) ** 2 / DAY_S])
+def test_a_step_lies_where_its_size_integrated_out_makes_it_likely(density, most_gaps, monkeypatch):
+    """Against the likelihood of each gap by the plain normal distribution of all results."""
+    rng = np.random.default_rng(5)
+    at = np.arange(12)[:, None]
+    course = (at >= 4) * [0.5, -0.4, 0.3] + (at >= 5) * [0.8, 0.2, -0.9] + (at >= 9) * [0.1, -0.7, 0.9]
+    series = drawn(course * ARCSEC, rng)
+    L, right = joint_information(series)
+    theta = np.linalg.solve(L, right)
+    S = np.linalg.inv(L) + density * np.kron(np.minimum.outer(MONTHS, MONTHS), np.eye(3))
+
+    def plain(*rows):
+        """chi2 beside steps before these rows, coefficients of mean and steps, and their covariance."""
+        A = np.kron(np.hstack([np.ones((12, 1)), at >= np.array(rows)]), np.eye(3))
+        covariance = np.linalg.inv(A.T @ np.linalg.solve(S, A))
+        best = covariance @ A.T @ np.linalg.solve(S, theta)
+        rest = theta - A @ best
+        return rest @ np.linalg.solve(S, rest), best[-3:], covariance[-3:, -3:]
+
+    steps, told = (4, 5, 9), 0
+    monkeypatch.setattr(mounting_course, "MOST_GAPS", most_gaps)
+    settings = CourseSettings(confidence=0.8)
+    found = dated_steps(series, CourseModel(steps=steps, density=density), (), settings)
+    for one, low, high in zip(found, (1, 5, 6), (5, 9, 12), strict=True):
+        others = [row for row in steps if row != one.row]
+        rows = np.array([row for row in range(low, high) if abs(row - one.row) <= most_gaps // 2])
+        fits = [plain(*others, row) for row in rows]
+        chi_square = np.array([fit[0] for fit in fits])
+        volume = [np.linalg.slogdet(fit[2])[1] for fit in fits]  # of the step's size
+        weight = np.diff(MONTHS)[rows - 1] * np.exp(0.5 * (volume - chi_square + chi_square.min()))
+        passed = np.cumsum(weight) / weight.sum()
+        ends = np.interp([0.1, 0.9], np.append(0.0, passed), MONTHS[np.append(rows[0] - 1, rows)])
+        here = rows.tolist().index(one.row)
+        _, size, covariance = fits[here]
+        # parts of the result: rounding of information of 1e13 beside that of the distortion
+        assert_allclose(one.interval_s, ends, rtol=1e-4)
+        assert_allclose(one.probability, weight[here] / weight.sum(), rtol=1e-4)
+        assert_allclose(
+            one.p_value, min(1.0, 11 * chi2(3).sf(plain(*others)[0] - chi_square[here])), rtol=1e-4
+        )
+        assert_allclose(one.theta, size, atol=1e-5 * ARCSEC)
+        assert_allclose(one.covariance, covariance, atol=1e-6 * ARCSEC**2)
+        assert not one.is_exchange
+        told += 0.2 < one.probability < 0.9
+    assert told  # a date that is not certain
+
+
+def test_the_best_step_of_a_long_series_is_found_by_gaps_about_the_best_of_a_few(monkeypatch):
+    course = np.where(np.arange(40)[:, None] >= 27, [9.0, -4.0, 6.0], 0.0) * ARCSEC
+    series = drawn(course, np.random.default_rng(6), 30.0 * DAY_S * np.arange(40) ** 1.1)
+    of_all = CourseModel().best_step(series)
+    for most_gaps in (13, 4):  # every fourth gap, every tenth
+        monkeypatch.setattr(mounting_course, "MOST_GAPS", most_gaps)
+        assert CourseModel().best_step(series) == pytest.approx(of_all, rel=1e-9)  # rounding
+    assert of_all[0] == 27
 
 
 # --- Strips of one camera with one distortion
