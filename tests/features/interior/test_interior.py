@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from boresight.calib.settings import CalibrationSettings
 from boresight.features.interior.interior_estimate import calibrate_interior
+from boresight.features.interior.interior_files import _table
 from boresight.features.interior.interior_parameters import STAGGER, InteriorModel, InteriorPriors
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.line_camera import LineCamera
@@ -151,3 +152,13 @@ def test_a_delay_of_a_ccds_rows_is_found_from_scans_in_both_directions():
     sigma = np.sqrt(np.diag(found.covariance)[rows])
     assert np.all(np.abs(found.values[rows] - expected) < 4.0 * sigma)
     assert sigma.max() < 0.4 * delay_s
+
+
+def test_columns_that_a_terminal_has_no_room_for_stand_below_with_their_names():
+    sizes = (35, 35, 36, 35, 10, 60, 3)  # after a name of 6: 80 columns, 81, and what is left
+    columns = [["", "CCD 0", "CCD 10"], *([f"{n}" * size, "a", f"b{n}"] for n, size in enumerate(sizes))]
+    parts = np.reshape(_table(columns), (-1, 3))
+    assert [[len(line) for line in part] for part in parts] == [[80] * 3, [44] * 3, [55] * 3, [73] * 3]
+    assert all([line[:6].strip() for line in part] == columns[0] for part in parts)
+    cells = [column for part in parts for column in zip(*(line[6:].split() for line in part))]
+    assert cells == [tuple(column) for column in columns[1:]]
