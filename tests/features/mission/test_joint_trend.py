@@ -133,14 +133,14 @@ def test_the_likelihood_of_a_density_is_that_of_the_plain_normal_distribution():
     assert_allclose(np.diff([found(x) for x in density]), np.diff([plain(x) for x in density]), rtol=1e-5)
 
 
-@pytest.mark.parametrize("most_gaps", [1000, 5])
+@pytest.mark.parametrize(("most_gaps", "size"), [(1000, 1.0), (5, 1.0), (1000, 300.0)])
 @pytest.mark.parametrize("density", [0.0, (0.02 * ARCSEC) ** 2 / DAY_S])
-def test_a_step_lies_where_its_size_integrated_out_makes_it_likely(density, most_gaps, monkeypatch):
+def test_a_step_lies_where_its_size_integrated_out_makes_it_likely(density, most_gaps, size, monkeypatch):
     """Against the likelihood of each gap by the plain normal distribution of all results."""
     rng = np.random.default_rng(5)
     at = np.arange(12)[:, None]
     course = (at >= 4) * [0.5, -0.4, 0.3] + (at >= 5) * [0.8, 0.2, -0.9] + (at >= 9) * [0.1, -0.7, 0.9]
-    series = drawn(course * ARCSEC, rng)
+    series = drawn(size * course * ARCSEC, rng)
     L, right = joint_information(series)
     theta = np.linalg.solve(L, right)
     S = np.linalg.inv(L) + density * np.kron(np.minimum.outer(MONTHS, MONTHS), np.eye(3))
@@ -169,18 +169,21 @@ def test_a_step_lies_where_its_size_integrated_out_makes_it_likely(density, most
         passed = np.cumsum(weight) / weight.sum()
         ends = np.interp([0.1, 0.9], np.append(0.0, passed), MONTHS[np.append(rows[0] - 1, rows)])
         here = rows.tolist().index(one.row)
-        _, size, covariance = fits[here]
+        _, change, covariance = fits[here]
         # parts of the result: rounding of information of 1e13 beside that of the distortion
         assert_allclose(one.interval_s, ends, rtol=1e-4)
         assert_allclose(one.probability, weight[here] / weight.sum(), rtol=1e-4)
         assert_allclose(
             one.p_value, min(1.0, 11 * chi2(3).sf(plain(*others)[0] - chi_square[here])), rtol=1e-4
         )
-        assert_allclose(one.theta, size, atol=1e-5 * ARCSEC)
+        assert_allclose(one.theta, change, atol=1e-5 * ARCSEC)
         assert_allclose(one.covariance, covariance, atol=1e-6 * ARCSEC**2)
         assert not one.is_exchange
         told += 0.2 < one.probability < 0.9
-    assert told  # a date that is not certain
+    assert told or size > 1.0  # a date that is not certain
+    known = dated_steps(series, CourseModel(steps=steps, density=density), (5,), settings)[1]
+    assert known.is_exchange and known.interval_s == tuple(MONTHS[4:6])
+    assert (known.probability, known.p_value) == (1.0, 0.0)
 
 
 def test_the_best_step_of_a_long_series_is_found_by_gaps_about_the_best_of_a_few(monkeypatch):
