@@ -192,7 +192,7 @@ def _constraints(model: InteriorModel, stagger: bool) -> Floats:
                 row = np.zeros(len(names))
                 row[columns] = moment @ spline
                 of_ccds.append(row)
-    rows = [*(rigid / np.abs(rigid).max(axis=1, keepdims=True)), *of_ccds, _sum(model, "scale")]
+    rows = [*rigid, *of_ccds, _sum(model, "scale")]
     return np.array([*rows, _sum(model, "stagger")] if stagger else rows)
 
 
@@ -247,7 +247,7 @@ def _corrected(c: int, ccd: Ccd, knots: Floats, value: dict[str, float]) -> Ccd:
         for axis in ("along", "across")
     )
     old = np.asarray(ccd.distortion_samples, dtype=float)
-    far = np.abs(old[:, None] - knots).min(axis=1) > 0.1 * (knots[1] - knots[0]) if len(old) else old > 0
+    far = np.abs(old[:, None] - knots).min(axis=1) > 0.1 * (knots[1] - knots[0])
     samples = np.sort(np.concatenate([knots, old[far]]))
     # Offsets are real minus ideal: a point that lies further along has a smaller offset.
     shift = ccd.bare.focal_plane(samples) - ccd.focal_plane(samples)

@@ -9,11 +9,12 @@ import pytest
 from drawn_campaigns import BOLD, assert_chi_square
 from four_ccds import four_ccds, map_difference_px
 from scipy.spatial.transform import Rotation
+from scipy.special import gamma, kv
 
 from boresight.calib.settings import CalibrationSettings
 from boresight.features.interior.interior_estimate import calibrate_interior
 from boresight.features.interior.interior_files import _table
-from boresight.features.interior.interior_parameters import STAGGER, InteriorModel, InteriorPriors
+from boresight.features.interior.interior_parameters import STAGGER, InteriorModel, InteriorPriors, _priors
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.line_camera import LineCamera
 from boresight.simulator.campaign import CameraPair, LinePair, StripPlan, draw_sky_strips, draw_strips
@@ -64,6 +65,32 @@ def test_the_corrected_camera_looks_where_the_parameters_say(tables, turned_rad)
         np.testing.assert_allclose(change, told, rtol=0, atol=2e-8)  # 0.02 px: second order in 1e-3 and 20 px
 
 
+def test_a_scale_moves_all_points_of_a_ccd_away_from_its_principal_point():
+    table = {"distortion_samples": NODES, "distortion_offsets_m": 2e-7 * (NODES - 3067.0)}
+    plain = LineCamera(10.0, four_ccds([table] * 4))
+    model, scale = InteriorModel.of(plain, InteriorPriors()), 0.01
+    values = np.array([scale * (name == "scale/2") for name in model.names])
+    before, after = plain.ccds[2], model.corrected(values).ccds[2]
+    centre, sample = before.focal_plane(np.array([before.principal_sample])), np.linspace(0.0, 6143.0, 50)
+    expected = centre + (1.0 + scale) * (before.focal_plane(sample) - centre)
+    np.testing.assert_allclose(after.focal_plane(sample), expected, atol=1e-9)  # m; the scale is 0.6 mm
+
+
+def test_the_prior_of_a_lens_is_a_matern_process_over_the_field():
+    priors = InteriorPriors(3e-4, 5.0, 2e-4, 1e-4, 3.0, 4000.0, 7e-6)
+    line, knots = camera(), (np.linspace(0.0, 6143.0, 4),) * 4
+    names, root = _priors(priors, line, knots, True)
+    sigma = dict(zip(names, np.sqrt(np.diag(root @ root.T))))
+    sizes = {"focal": 3e-4, "shift_along/1": 5.0, "shift_across/1": 5.0, "rotation/1": 2e-4, "scale/1": 1e-4}
+    for name, size in (sizes | {"stagger/1": 7e-6, "curve_along/1/2": 3.0, "curve_across/3/0": 3.0}).items():
+        assert sigma[name] == pytest.approx(size, rel=1e-8), name
+    own = [n for n, name in enumerate(names) if name.startswith("curve_across/")]
+    place = np.concatenate([ccd.focal_plane(k)[:, 1] / ccd.pixel_m for ccd, k in zip(line.ccds, knots)])
+    d = np.sqrt(5.0) * (np.abs(place[:, None] - place) + 1e-3) / 4000.0  # a Bessel function has no value at 0
+    expected = 9.0 * 2.0**-1.5 / gamma(2.5) * d**2.5 * kv(2.5, d)
+    np.testing.assert_allclose((root @ root.T)[np.ix_(own, own)], expected, atol=1e-5)  # px²; by that 1e-3 px
+
+
 def test_detectors_at_one_place_of_the_field_have_one_distortion():
     both = InteriorModel.of(replace(camera(), ccds=(camera().ccds[1],) * 2), InteriorPriors())
     curves = [n for n, name in enumerate(both.names) if name.startswith("curve_along/")]
@@ -78,6 +105,7 @@ def test_the_gauge_leaves_nothing_that_a_rotation_does():
     change = model.look_change(rows[:, 0].astype(int), rows[:, 1]) @ values / model.camera.pixel_rad
     # The rotation taken off is zero by constraint but for its quadrature, 2e-3 of some 12 px.
     assert np.abs(difference - change[:, :2]).max() < 0.05
+    assert np.linalg.matrix_rank(model.basis) == model.basis.shape[1]
     assert {gauge.reason for gauge in model.gauges} >= {
         f"rotation about {axis} of the installation matrix" for axis in "XYZ"
     }
