@@ -1,6 +1,7 @@
 """The alignment between two heads against the one that was drawn."""
 
 from dataclasses import replace
+from types import SimpleNamespace as Of
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from two_trackers import ARCSEC, NOISE, R_SH, T, tracks
 
-from boresight.features.heads.alignment import align_heads
+from boresight.features.heads.alignment import _terms, align_heads
 from boresight.pipeline.head_noise.tracks import HeadTrack
 
 
@@ -130,3 +131,32 @@ def test_three_common_instants_have_an_alignment_and_two_have_none() -> None:
     assert (aligned(3) * R_SH.inv()).magnitude() < 80.0 * ARCSEC
     with pytest.raises(ValueError, match="2 instants with attitudes of A and B, 3 are needed"):
         aligned(2)
+
+
+@pytest.mark.parametrize(("orbits", "warmer_c"), [(0.2, 0.0), (0.3, 2.0), (0.2, 2.0), (1.4, 0.05)])
+def test_terms_of_an_alignment_are_those_that_the_record_spans_enough_of(
+    orbits: float, warmer_c: float
+) -> None:
+    t = np.linspace(100.0, 100.0 + 5700.0 * orbits, 300)
+    u = 2.0 * np.pi * t / 5700.0 + 1.9  # from the ascending node of a circular orbit
+    turned = Rotation.from_euler("xz", [1.7, 0.8])
+    states = tuple(turned.apply(np.stack([x, y, 0.0 * t], axis=1)) for x, y in circle(u))
+    dump = Of(orbit=Of(states_i=lambda t_s: states))
+    temperature = 20.0 + warmer_c * np.linspace(0.0, 1.0, 300) ** 2
+    found = _terms(dump, Of(t_s=t), temperature)
+    expected = {"hour": t / 3600.0}
+    if orbits > 0.25:
+        expected |= {
+            f"{name}(argument of latitude)": of(u) for name, of in (("cos", np.cos), ("sin", np.sin))
+        }
+    if warmer_c > 0.1:
+        expected["degree Celsius"] = temperature
+    assert found.keys() == expected.keys()
+    for name, values in expected.items():
+        assert_allclose(found[name], values, atol=1e-9)  # rounding
+    assert "degree Celsius" not in _terms(dump, Of(t_s=t), None)
+
+
+def circle(u: np.ndarray) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
+    """Place and velocity in the plane of the orbit, m and m/s."""
+    return (7e6 * np.cos(u), 7e6 * np.sin(u)), (-7.5e3 * np.sin(u), 7.5e3 * np.cos(u))

@@ -25,7 +25,8 @@ def trend(tmp_path_factory) -> Trend:
     rng = np.random.default_rng(4)
     truth = Truth(rng, results=60, steps=(6.0, 4.0))
     mission, weight = DrawnMission(PAIR, rng), rng.uniform(0.4, 2.5, 60)
-    series = mission.series(truth.t_s, truth.theta(truth.t_s, truth.cos_sin), truth.cos_sin)
+    theta = truth.theta(truth.t_s, truth.cos_sin) + np.array([40.0, -70.0, 25.0]) * ARCSEC
+    series = mission.series(truth.t_s, theta, truth.cos_sin)
     of_each = {"F": weight[:, None, None] * series.F, "F_shared": weight[:, None, None] * series.F_shared}
     shared = {"shared_F": weight.sum() * mission.F[3:, 3:] + mission.prior}
     series = replace(
@@ -54,7 +55,8 @@ def test_a_picture_shows_course_results_and_limits_where_its_marks_say(trend, ax
     course, series = trend.course, trend.course.series
     x, t = np.array([(float(x), instant_s(f"{name}-01")) for x, name in drawn["years"]]).T
     y, label = np.array(drawn["marks"], dtype=float).T
-    assert 2 <= len(y) <= 7 and np.allclose(np.diff(label), label[1] - label[0])
+    assert 2 <= len(y) <= 7 and label[0] <= 0.0 <= label[-1]  # about the middle of the course
+    assert np.allclose(np.diff(label), label[1] - label[0])
     to_s, to_arcsec = np.polyfit(x, t, 1), np.polyfit(y, label, 1)
     day = abs(to_s[0]) / DAY_S  # of a px
     arcsec = abs(to_arcsec[0])  # of a px; all coordinates are written to 0.1 px
