@@ -100,18 +100,18 @@ def test_an_rpc_states_the_error_that_its_pixels_are_to_have(finished, exported)
     samples, lines = (calibrated.dump.line_camera.n_px(0), model.strip.ccd_lines[0])
     line, sample = np.meshgrid(np.linspace(0.0, lines - 1.0, 7), np.linspace(0.0, samples - 1.0, 5))
     for ccd, path in enumerate(sorted(exported[0].glob("*_RPC.TXT"))):
-        found = dict(re.findall(r"(ERR_\w+): (\S+) meters", path.read_text()))
-        bias_m, random_m = float(found["ERR_BIAS"]), float(found["ERR_RAND"])
+        found = dict(re.findall(r"(ERR_\w+|HEIGHT_OFF): (\S+) meters", path.read_text()))
+        bias_m, random_m, height_m = (float(found[key]) for key in ("ERR_BIAS", "ERR_RAND", "HEIGHT_OFF"))
         # The matrix is of this strip alone: it has taken up most of what its pixels share.
         assert 0.0 < bias_m < random_m
-        error = ground_error(calibrated, model, ccd, lines, 300.0)
+        error = ground_error(calibrated, model, ccd, lines, height_m)
         pixels = Pixels(np.full(line.size, ccd), sample.ravel(), line.ravel())
-        places = ground_places(calibrated, model, pixels, ConstantHeight(300.0))
+        places = ground_places(calibrated, model, pixels, ConstantHeight(height_m))
         expected2 = np.mean([places.sigma_along_m**2, places.sigma_across_m**2])
         assert error.bias_m**2 + error.random_m**2 == approx(expected2, rel=1e-9)
-        # 3 %: the file's height is another. Its polynomials add up to a pixel to what is random.
-        assert bias_m == approx(error.bias_m, rel=0.03)
-        assert error.random_m <= random_m < np.hypot(error.random_m, 5.0)
+        # The file rounds to 0.1 mm; its polynomials add up to a pixel to what is random.
+        assert bias_m == approx(error.bias_m, abs=6e-5)
+        assert error.random_m - 6e-5 <= random_m < np.hypot(error.random_m, 5.0)
 
 
 def test_a_calibration_file_has_matrix_covariance_and_dates(finished, tmp_path, installation):
