@@ -176,10 +176,10 @@ class VirtualStrip:
         source = self.source_pixels(ccd, grid[1].ravel(), grid[0].ravel())
         to_lines = interpolation_weights(node_lines, at_line)
         to_samples = interpolation_weights(node_samples, at_sample)
-        unseen = np.isnan(source[0]).reshape(grid[0].shape).astype(float)
+        unseen = np.isnan(source[0]).reshape(len(node_lines), -1).astype(float)
         doubtful = np.abs(to_lines) @ unseen @ np.abs(to_samples).T > 1e-9
         column, row = (
-            np.where(doubtful, np.nan, to_lines @ np.nan_to_num(s).reshape(grid[0].shape) @ to_samples.T)
+            np.where(doubtful, np.nan, to_lines @ np.nan_to_num(s).reshape(len(node_lines), -1) @ to_samples.T)
             for s in source
         )
         nothing: Image = np.full(column.shape, np.nan, dtype=np.float32)

@@ -42,6 +42,14 @@ def test_gdal_finds_the_pixels_of_the_rigorous_model_within_the_stated_error(tmp
             ]
         )
         lat, lon, _ = geodetic_from_ecef(p_e, WGS84)
+        # scaled values of RPC00B are -1 to 1 over the image from edge to edge, its heights and its ground
+        ends = np.array([[-0.5, -0.5, HEIGHTS[0]], [LINES - 0.5, size[0] - 0.5, HEIGHTS[1]]])
+        scaled = (ends - rpc.offsets[[0, 1, 4]]) / rpc.scales[[0, 1, 4]]
+        assert scaled == pytest.approx(np.array([[-1.0] * 3, [1.0] * 3]), abs=1e-12)
+        for values, n in ((np.degrees(lat), 2), (np.degrees(lon), 3)):
+            within = (values - rpc.offsets[n]) / rpc.scales[n]
+            # of 1000 random points; the outermost are near to a corner and to the least or largest height
+            assert -1.001 < within.min() < -0.8 and 0.8 < within.max() < 1.001
         for path in (image, vrt):
             with rasterio.open(path) as file:
                 assert isinstance(file.rpcs, RPC)
