@@ -172,16 +172,14 @@ class VirtualStrip:
         """
         at_line, at_sample = np.arange(*lines, dtype=float), np.arange(*samples, dtype=float)
         node_lines, node_samples = _nodes(at_line, _NODE_LINES), _nodes(at_sample, _NODE_SAMPLES)
-        grid = np.meshgrid(node_lines, node_samples, indexing="ij")
-        source = self.source_pixels(ccd, grid[1].ravel(), grid[0].ravel())
+        sample, line = np.meshgrid(node_samples, node_lines)
+        found = self.source_pixels(ccd, sample.ravel(), line.ravel())
+        source = [part.reshape(line.shape) for part in found]
         to_lines = interpolation_weights(node_lines, at_line)
         to_samples = interpolation_weights(node_samples, at_sample)
         unseen = np.isnan(source[0]).reshape(len(node_lines), -1).astype(float)
         doubtful = np.abs(to_lines) @ unseen @ np.abs(to_samples).T > 1e-9
-        column, row = (
-            np.where(doubtful, np.nan, to_lines @ np.nan_to_num(s).reshape(len(node_lines), -1) @ to_samples.T)
-            for s in source
-        )
+        column, row = (np.where(doubtful, np.nan, to_lines @ np.nan_to_num(s) @ to_samples.T) for s in source)
         nothing: Image = np.full(column.shape, np.nan, dtype=np.float32)
         if not np.isfinite(column).any():
             return nothing
