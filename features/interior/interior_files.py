@@ -120,7 +120,7 @@ def _all_samples(found: InteriorEstimate) -> tuple[Ints, Floats]:
 def _figure(calibration: InteriorCalibration) -> Figure:
     """Residuals along the field before and after, with the estimated change and its 1-sigma."""
     found, targets = calibration.found, calibration.found.installation.targets
-    shown = targets.kept & np.isfinite(targets.residual_c[:, 0])
+    shown = targets.kept & np.isfinite(targets.residual_c).all(axis=1)
     ccd, sample = targets.ccd[shown], targets.sample[shown]
     after = targets.residual_c[shown] / found.camera.pixel_rad
     before = after - found.map_change_px(ccd, sample)

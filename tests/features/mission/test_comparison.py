@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from command_line import ran
+from command_line import invoked, ran
 from drawn_mission import DrawnMission, bare_result, lopsided_pair
 from scipy.stats import binom, chi2, kstest, ncx2
 
@@ -96,6 +96,20 @@ def test_a_result_is_equal_to_itself_and_nothing_is_tested(finished, tmp_path):
     assert len(content["common_strips"]) == 1 and content["shares_camera"]
     assert "no test" in card.read_text() and "http" not in card.read_text().replace("http-equiv", "")
     assert compare(finished[1], finished[1]).table().empty
+
+
+@pytest.mark.parametrize(
+    ("false_alarm", "accepted"), [(0.5, True), (1e-9, True), (0.51, False), (0.0, False)]
+)
+def test_a_probability_of_a_false_alarm_is_at_most_a_half_at_both_doors(finished, false_alarm, accepted):
+    result = finished[1]
+    told = invoked("compare", result, result, "--false-alarm", false_alarm)
+    assert (told.exit_code == 0) == accepted
+    if accepted:
+        assert compare(result, result, false_alarm=false_alarm).false_alarm == false_alarm
+    else:
+        with pytest.raises(ValueError, match="false_alarm"):
+            compare(result, result, false_alarm=false_alarm)
 
 
 def test_strips_left_out_or_worse_change_the_matrix_as_their_information_says(finished):
