@@ -465,7 +465,10 @@ def fit_columns(series: MountingSeries, X: Floats, density: float = 0.0) -> Cour
     n, x = len(normal.N), scale * cho_solve(factor, scale * normal.right)
     inverse = cho_solve(factor, np.eye(len(x)))[:n, :n] * np.outer(scale[:n], scale[:n])
     return CourseFit(
-        coefficients=x[:n].reshape(-1, 3), covariance=inverse, shared=x[n:], explained=float(x @ normal.right)
+        coefficients=x[:n].reshape(-1, 3),
+        covariance=0.5 * (inverse + inverse.T),
+        shared=x[n:],
+        explained=float(x @ normal.right),
     )
 
 

@@ -141,11 +141,6 @@ def test_places_of_an_imported_pleiades_strip_are_the_operators(tmp_path):
     dump = open_dump(tmp_path / "dump")
     sample = np.array([0.0, 0.4 * strip.width_px, strip.width_px - 1.0])
     line = np.array([0.0, 0.3 * strip.height_px, strip.height_px - 1.0])
-    rows, image = dump.heads[0].source.rows.t_s, dump.strips[0]
-    last_s = image.t_first_row_s + image.row_period_s * image.lines
-    # half a second around the strip, by tenths of a second
-    assert rows[:2] - image.t_first_row_s == pytest.approx([-0.55, -0.45], abs=0.051)
-    assert rows[-1] - last_s == pytest.approx(0.55, abs=0.051)
     expected = strip.pushbroom.ground_points(0, sample, line, ConstantHeight(0.0))
     found = model_of(dump).ground_points(0, sample, line, ConstantHeight(0.0))
     assert np.isfinite(expected).all()
