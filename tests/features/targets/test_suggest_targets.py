@@ -6,6 +6,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from statistics import stdev
 from types import SimpleNamespace as Of
 
 import cv2
@@ -351,3 +352,20 @@ def test_a_match_is_of_the_same_thing_up_to_1_px_and_3_sigma_beyond_what_the_dat
         alone = suggestions._stable(place, {})
         assert (alone is not None) == (others == 2)
         assert alone is None or alone.again[0].offset_px == pytest.approx([0.0, 0.0], abs=1e-12)
+
+
+def test_a_reference_an_image_is_as_far_off_as_its_dates_scatter_and_has_an_id_that_a_dump_takes() -> None:
+    long = "a b/c" * 20
+    offsets = {("x", "y"): [3.0, -1.0], ("x", "z"): [1.0, 4.0], (long, "x"): [0.0, 2.0]}
+    found = suggestions.Suggestion((), None, (), {of: np.array(m) for of, m in offsets.items()}, ())
+    references = found.references("ortho", None, 7.0)
+    # the image's own place is one more date, of no offset; standard deviations of both axes, m
+    dates = {"x": [[0.0, 3.0, 1.0], [0.0, -1.0, 4.0]], long: [[0.0, 0.0], [0.0, 2.0]]}
+    for label, axes in dates.items():
+        one, (east, north) = references[label], map(stdev, axes)
+        scatter = np.hypot(east, north) / np.sqrt(2.0)
+        assert (one.sigma_east_m, one.sigma_north_m, one.sigma_up_m) == pytest.approx((scatter, scatter, 7.0))
+    assert references["x"].id == "ortho-x"
+    # the longest that the format of a dump takes
+    assert len(references[long].id) == 64 and references[long].id.startswith("ortho-a-b-ca-b-c")
+    assert set(references) == {"x", long}
