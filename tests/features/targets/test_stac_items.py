@@ -20,7 +20,7 @@ from pyproj import Transformer
 from scipy.ndimage import gaussian_filter, shift
 from stored import bucket_served
 
-from boresight.features.targets.stac_items import StacQuery, _is_wanted, stac_images
+from boresight.features.targets.stac_items import StacQuery, _image, _is_wanted, stac_images
 from boresight.pipeline.errors import RawDataError
 from boresight.pipeline.files.object_store import dump_folder
 
@@ -267,3 +267,25 @@ def test_an_item_is_wanted_where_its_box_meets_that_of_the_query_and_its_day_is_
         *(("/2020-05-16", False), ("../2020-05-17", True), ("2019-01-01/2021-01-01", True)),
     ):
         assert _is_wanted(item, StacQuery(days=days)) == wanted, days
+
+
+def test_pixels_are_left_out_by_the_classes_named_clouds_and_by_no_others(tmp_path: Path) -> None:
+    image = raster(tmp_path / "a.tif", np.full((20, 20), 100, np.uint8))
+    state = np.random.default_rng(3).integers(0, 16, (20, 20)).astype(np.uint8)
+    mask = raster(tmp_path / "b.tif", state)
+    classes = [
+        {"name": "Clear", "value": 3},
+        {"name": "Thin cloud", "value": 6},
+        {"name": "cloud", "value": 8},
+    ]
+    for extra, roles, clouded in (
+        ({"classification:classes": classes}, [], np.isin(state, [6, 8])),
+        ({}, ["cloud"], state != 0),  # a mask without classes
+        ({}, ["other"], np.zeros((20, 20), bool)),
+    ):
+        item = pystac.Item("i", None, None, datetime(2020, 5, 17, tzinfo=UTC), properties={})
+        item.add_asset("image", pystac.Asset(str(image), media_type=pystac.MediaType.COG, roles=["data"]))
+        how = {"media_type": pystac.MediaType.COG, "roles": roles, "extra_fields": extra}
+        item.add_asset("quality", pystac.Asset(str(mask), **how))
+        found = _image(item, StacQuery(source=tmp_path)).window(0, 0, 20, 20)
+        assert np.array_equal(np.isnan(found.values), clouded)
