@@ -177,7 +177,7 @@ class VirtualStrip:
         source = [part.reshape(line.shape) for part in found]
         to_lines = interpolation_weights(node_lines, at_line)
         to_samples = interpolation_weights(node_samples, at_sample)
-        unseen = np.isnan(source[0]).reshape(len(node_lines), -1).astype(float)
+        unseen = np.isnan(source[0]).astype(float)
         doubtful = np.abs(to_lines) @ unseen @ np.abs(to_samples).T > 1e-9
         column, row = (np.where(doubtful, np.nan, to_lines @ np.nan_to_num(s) @ to_samples.T) for s in source)
         nothing: Image = np.full(column.shape, np.nan, dtype=np.float32)
