@@ -197,6 +197,22 @@ def test_the_best_step_of_a_long_series_is_found_by_gaps_about_the_best_of_a_few
         assert CourseModel().best_step(series) == pytest.approx(of_all, rel=1e-9)  # rounding
 
 
+@pytest.mark.parametrize(
+    ("model", "fitted"),
+    [
+        (CourseModel(steps=(5,)), 0),  # an exchange: its date is known, and each course has it
+        (CourseModel(steps=(2, 5)), 4),  # three angles and a date
+        (CourseModel(steps=(5,), terms=("annual", "beta angle")), 9),
+        (CourseModel(steps=(2, 5, 8), terms=("annual",), density=1e-19), 15),
+    ],
+)
+def test_each_number_that_a_course_has_beside_its_mean_costs_a_logarithm_of_the_count(model, fitted):
+    rng = np.random.default_rng(9)
+    beta = rng.uniform(-1.0, 1.0, 12)
+    series = drawn(rng.normal(size=(12, 3)) * ARCSEC, rng, beta=beta, exchanges=(5,))
+    assert model.cost(series) - model.loss(series) == pytest.approx(fitted * np.log(12))  # Schwarz 1978
+
+
 # --- Strips of one camera with one distortion
 
 SETTINGS = CalibrationSettings(robust=False)  # the same targets in months and in all
