@@ -141,10 +141,11 @@ class Suggestion:
         found: dict[str, tuple[str, float]] = {}
         if offset_m is not None:
             found = {one.ortho.label: (name, offset_m) for one in self.targets}
-        for label in {own for own, _ in self.offsets} if offset_m is None else ():
+        for n, label in enumerate(sorted({own for own, _ in self.offsets}) if offset_m is None else ()):
             of_dates = np.array([np.zeros(2), *(o for (own, _), o in self.offsets.items() if own == label)])
             scatter_m = float(np.sqrt(np.mean(of_dates.var(axis=0, ddof=1))))
-            found[label] = f"{name}-{re.sub(r'[^A-Za-z0-9_.-]', '-', label)}"[:64], scatter_m
+            id = f"{name}-{re.sub(r'[^A-Za-z0-9_.-]', '-', label)}"[:64]
+            found[label] = f"{id[:59]}-{n}" if id in dict(found.values()) else id, scatter_m
         return {
             label: GroundReferenceFile(
                 id=id, sigma_east_m=sigma, sigma_north_m=sigma, sigma_up_m=offset_up_m, correlation_km=0.0

@@ -357,6 +357,7 @@ def test_a_match_is_of_the_same_thing_up_to_1_px_and_3_sigma_beyond_what_the_dat
 def test_a_reference_an_image_is_as_far_off_as_its_dates_scatter_and_has_an_id_that_a_dump_takes() -> None:
     long = "a b/c" * 20
     offsets = {("x", "y"): [3.0, -1.0], ("x", "z"): [1.0, 4.0], (long, "x"): [0.0, 2.0]}
+    offsets |= {(f"{long}2", "x"): [8.0, 0.0]}  # begins alike
     found = suggestions.Suggestion((), None, (), {of: np.array(m) for of, m in offsets.items()}, ())
     references = found.references("ortho", None, 7.0)
     # the image's own place is one more date, of no offset; standard deviations of both axes, m
@@ -368,4 +369,5 @@ def test_a_reference_an_image_is_as_far_off_as_its_dates_scatter_and_has_an_id_t
     assert references["x"].id == "ortho-x"
     # the longest that the format of a dump takes
     assert len(references[long].id) == 64 and references[long].id.startswith("ortho-a-b-ca-b-c")
-    assert set(references) == {"x", long}
+    assert set(references) == {"x", long, f"{long}2"}
+    assert len({one.id for one in references.values()}) == 3
