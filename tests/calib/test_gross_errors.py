@@ -100,6 +100,21 @@ def test_good_targets_rejected_in_place_of_their_neighbour_are_exchanged():
     assert np.flatnonzero(snoop(problem, about, start, limit).weight == 0.0).tolist() == [10]
 
 
+def test_the_minimal_detectable_bias_of_a_target_does_not_depend_on_its_being_rejected():
+    """It is that of a target which all others predict. 1e-3: the matrix about which they do is another."""
+    strips = draw_strips(PLAN, CAMERAS, np.random.default_rng(21))[0]
+    plain = calibrate_strips(strips, BOLD, SETTINGS)
+    for s, j in ((0, 2), (1, 11), (2, 5)):
+        wrong = calibrate_strips(shifted(strips, s, j, [40.0 * PIXEL_RAD, 0.0]), BOLD, SETTINGS)
+        row = 12 * s + j
+        assert not wrong.targets.kept[row] and plain.targets.kept[row]
+        same = np.delete(np.arange(36), row)
+        np.testing.assert_array_equal(wrong.targets.kept[same], plain.targets.kept[same])
+        assert wrong.targets.detectable_rad[row] == pytest.approx(plain.targets.detectable_rad[row], rel=1e-3)
+        # the others are controlled by one less
+        assert np.all(wrong.targets.detectable_rad[same] > (1.0 - 1e-3) * plain.targets.detectable_rad[same])
+
+
 def test_minimal_detectable_bias_has_the_stated_power():
     strips, _ = draw_strips(PLAN, CAMERAS, np.random.default_rng(8))
     plain = replace(SETTINGS, robust=False)
