@@ -12,6 +12,7 @@ from boresight.geometry.earth_orientation import bundled_earth_orientation
 from boresight.geometry.earth_rotation import EarthRotation
 from boresight.geometry.epoch import Epoch
 from boresight.geometry.starlight import GroundSite, apparent_star_directions, refract_by_air
+from boresight.star_id.observer import Observer, sky_directions
 
 UTC = "2019-07-29T20:47:26"
 SITE = GroundSite(np.radians(52.2), np.radians(4.4), 30.0, 1009.0, 17.5)
@@ -46,6 +47,18 @@ def test_stars_stand_over_the_horizon_where_astropy_sees_them():
     assert np.abs(altitude - theirs.alt.rad)[high].max() < 0.2 * ARCSEC
     # and without the air it is minutes: the test would see a wrong sign
     assert np.abs(np.arcsin(outside @ state.air.zenith_i) - theirs.alt.rad)[high].max() > 300.0 * ARCSEC
+
+
+def test_behind_a_direction_seen_through_the_air_is_the_star_of_the_catalogue():
+    stars = sky(4000, np.random.default_rng(9))
+    epoch = Epoch.from_utc(UTC + "Z")
+    state = SITE.at(EarthRotation.over(epoch, 0.0, 1.0, bundled_earth_orientation()), 0.0)
+    seen = refract_by_air(apparent_star_directions(stars, epoch, 0.0, state.p_i, state.v_i), state.air)
+    high = seen @ state.air.zenith_i > np.sin(np.radians(5.0))  # lower a camera sees no star
+    found = sky_directions(seen[high], Observer(epoch, 0.0, state.p_i, state.v_i, state.air))
+    true = SkyCoord(stars.ra_rad * units.rad, stars.dec_rad * units.rad).cartesian.xyz.value.T[high]
+    # a thousandth of what a centroid tells; the air alone is some minutes
+    assert high.sum() > 1500 and np.abs(found - true).max() < 1e-3 * ARCSEC
 
 
 def test_refraction_keeps_the_vertical_plane_and_the_length():
