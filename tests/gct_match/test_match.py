@@ -221,6 +221,21 @@ def test_template_of_a_chip_with_tiny_pixels_is_bounded_in_memory_and_time(case:
     assert time.process_time() - start < 2.0  # s: a kernel as wide as the blur would take minutes
 
 
+def test_pixels_of_chips_without_data_have_no_part_in_the_places(case: Case):
+    def with_hole(chip: Chip, fill: float) -> Chip:
+        rows, columns = np.indices(chip.image.shape) / np.array(chip.image.shape)[:, None, None]
+        valid = columns + 0.4 * rows > 0.45  # without a corner, up to the middle of the chip
+        return replace(chip, image=np.where(valid, chip.image, np.float32(fill)), valid=valid)
+
+    outcomes = [matched(case, chips=[with_hole(one, fill) for one in case.chips]) for fill in (0.0, 6e4)]
+    for outcome in outcomes:
+        _, nees = errors(case, outcome)
+        assert len(nees) >= len(case.targets) - 1 and nees.sum() < chi2(df=2 * len(nees)).ppf(0.9995)
+    one, other = ({match.target_id: match.xy_px for match in outcome.matches} for outcome in outcomes)
+    assert set(one) == set(other)
+    assert all(np.array_equal(one[name], other[name]) for name in one)
+
+
 def test_cloud_and_saturation_are_kept_out(case: Case):
     images = {}
     for ccd, image in case.strip.images.items():
