@@ -44,7 +44,9 @@ def slew():
     begun_s = time.process_time()
     found = bs.track(simulated.images, camera=CAMERA, **timing)
     took_ms = 1e3 * (time.process_time() - begun_s)
-    assert 0.5 * took_ms < found.cpu_ms.sum() <= took_ms  # frames are most of a sequence, and no more than it
+    assert (
+        0.05 * took_ms < found.cpu_ms.sum() <= took_ms
+    )  # a process that has to import yet takes most for that
     return simulated, found
 
 
