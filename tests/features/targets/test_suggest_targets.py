@@ -317,7 +317,7 @@ def test_pixels_of_a_window_lie_where_its_map_puts_them(tmp_path: Path) -> None:
         like = RasterWindow(np.zeros((14, 9), np.float32), tuple(there)[:6], file.crs)
         found, expected = brightness_where_pixels_lie(file.resampled(like))
         # GDAL stretches its cubic kernel where pixels become larger, here by a tenth and less: a ramp of 0.17
-        # and 0.26 DN a pixel, of means three times that, is then off by up to a tenth of a pixel, its mean not
+        # and 0.26 DN a pixel, of means three times that, is then off by a tenth of a pixel, its mean not
         assert np.abs(found - expected).max() < (0.01 if scale == 1.0 else 0.08)
         assert abs((found - expected).mean()) < 2e-3
     beyond = RasterWindow(np.zeros((14, 9), np.float32), (2.0, 0.0, 3.9e5, 0.0, -2.0, 5e6), file.crs)
