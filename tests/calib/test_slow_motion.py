@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drawn_campaigns import BOLD, nees_of_estimate
+from scipy.spatial.transform import Rotation
 
+from boresight.calib import slow_motion
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
 from boresight.calib.settings import CalibrationSettings
@@ -48,6 +50,39 @@ def test_exposures_show_how_far_the_satellite_moves(arcsec: float) -> None:
     strips = strips_of(7, wave_rad=(arcsec * ARCSEC, arcsec * ARCSEC))
     rms = np.sqrt(motion_of(strips, STATED).variance.sum()) / ARCSEC
     assert 0.3 * arcsec < rms < 3.0 * arcsec
+
+
+def test_the_motion_is_the_mean_over_the_posterior_of_the_plain_normal_distribution() -> None:
+    """Of all turns about all axes at once, constant and rate integrated out, for every noise, size and time;
+    the errors of attitudes are lopsided and turned, another way in each strip.
+    """
+    rng, strips, C = np.random.default_rng(8), strips_of(7, wave_rad=(20.0 * ARCSEC, 30.0 * ARCSEC)), []
+    for turn in Rotation.random(3, rng=rng).as_matrix():
+        C.append(turn @ np.diag(np.square([2.0, 9.0, 30.0])) @ turn.T * ARCSEC**2)
+    own = [np.broadcast_to(one, (7, 3, 3)) for one in C]
+    strips = [replace(one, attitudes=replace(one.fitted, covariance_s=C_s)) for one, C_s in zip(strips, own)]
+    noise, size, time = np.meshgrid(slow_motion.NOISES, slow_motion.AMPLITUDES, slow_motion.TIMES)
+    logs = [np.log(part).ravel() for part in (size, time, noise)]
+    posterior = sum(-0.5 * (part / spread) ** 2 for part, spread in zip(logs, slow_motion.SPREAD))
+    amplitude, T = 6.0 * ARCSEC * size.ravel(), 0.8 * time.ravel()
+    for strip, C_s in zip(strips, C):
+        t = strip.times_s
+        off = Rotation.from_matrix(strip.fitted.R_si) * strip.R_oi_exposures.inv()
+        y = (off * off[3].inv()).as_rotvec().ravel() / ARCSEC
+        X = np.kron(np.column_stack([np.ones(7), t]), np.eye(3))
+        shape = np.exp(-0.5 * np.subtract.outer(t, t) ** 2 / T[:, None, None] ** 2)
+        V = np.kron(np.eye(7), C_s) * noise.ravel()[:, None, None] ** 2
+        V = (V + np.kron(shape, np.eye(3)) * amplitude[:, None, None] ** 2) / ARCSEC**2
+        of_trend = X.T @ np.linalg.solve(V, np.broadcast_to(X, (len(V), *X.shape)))
+        of_y = np.linalg.solve(V, np.broadcast_to(y[:, None], (len(V), 21, 1)))
+        left = y - (X @ np.linalg.solve(of_trend, X.T @ of_y))[:, :, 0]
+        square = np.einsum("nk,nk->n", left, np.linalg.solve(V, left[:, :, None])[:, :, 0])
+        posterior -= 0.5 * (np.linalg.slogdet(V)[1] + np.linalg.slogdet(of_trend)[1] + square)
+    weight = np.exp(posterior - posterior.max()) * amplitude**2 / np.exp(posterior - posterior.max()).sum()
+    expected = [weight[T == one].sum() for one in 0.8 * slow_motion.TIMES]
+    found = motion_of(strips, STATED)
+    np.testing.assert_allclose(found.time_s, 0.8 * slow_motion.TIMES, rtol=1e-12)
+    np.testing.assert_allclose(found.variance, expected, rtol=1e-6)
 
 
 def test_attitudes_with_understated_noise_are_not_taken_for_motion() -> None:
