@@ -10,7 +10,13 @@ from scipy.spatial.transform import Rotation
 from boresight.calib import strips as strips_module
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.distortion import correlation, knots_touched
-from boresight.calib.error_table import SharedUnknowns, find_shared, of_pass
+from boresight.calib.error_table import (
+    SharedUnknowns,
+    coordinate_covariance,
+    earth_axes,
+    find_shared,
+    of_pass,
+)
 from boresight.calib.pass_attitude import _covered, _weights
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.strips import group_strips, linearise, prepare_strip, tangent_axes
@@ -29,6 +35,26 @@ NOTHING = SharedUnknowns()
 
 def strips_of(plan, seed=1):
     return draw_strips(plan, CAMERAS, np.random.default_rng(seed))[0]
+
+
+def test_coordinates_are_known_in_axes_that_turn_with_the_earth_and_directions_across_themselves():
+    """Once around in a stellar day of 86164.0989 s; of a star nothing else than across is changed."""
+    rng, stellar_day_s = np.random.default_rng(3), 86_164.0989
+    t_s = np.array([0.0, stellar_day_s / 4.0, stellar_day_s / 12.0])
+    root = rng.normal(size=(3, 3, 3))
+    cov = root @ np.swapaxes(root, 1, 2)
+    u_i = Rotation.random(3, rng=rng).apply([0.0, 0.0, 1.0])
+    ground = coordinate_covariance(cov, t_s, u_i, np.zeros(3, dtype=bool))
+    z = Rotation.from_euler("z", [0.0, 90.0, 30.0], degrees=True).as_matrix()
+    np.testing.assert_allclose(earth_axes(t_s), z, atol=2e-8)  # rad: a rate of seven digits
+    for n in range(3):
+        np.testing.assert_allclose(ground[n], z[n].T @ cov[n] @ z[n], atol=1e-6)
+        across = np.eye(3) - np.outer(u_i[n], u_i[n])
+        own = across @ cov[n] @ across  # as a catalogue's: nothing along the direction
+        (star,) = coordinate_covariance(own[None], t_s[:1], u_i[n : n + 1], np.array([True]))
+        np.testing.assert_allclose(across @ star @ across, own * 1e12, rtol=1e-9, atol=1e-3)  # microradian²
+        assert u_i[n] @ star @ u_i[n] == pytest.approx(0.5e12 * np.trace(own))
+        np.linalg.cholesky(star)
 
 
 def one_instant(strip: StripSightings) -> StripSightings:
