@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from drawn_campaigns import BOLD, CAMERAS, TABLE_1
 from scipy.spatial.transform import Rotation
-from scipy.stats import kstest, norm
+from scipy.stats import chi2, kstest, norm
 
 from boresight.calib import verdict as rules
 from boresight.calib.calibration import calibrate_strips
@@ -36,6 +36,18 @@ def verdict_on(strips, settings=None, R_cs0=BOLD, limits=None):
 
 def check(verdict, kind):
     return next(c for c in verdict.checks if c.kind is kind)
+
+
+@pytest.mark.parametrize("dof", [3, 40])
+def test_errors_understated_or_overstated_by_what_is_tolerated_are_as_probable_as_exact_ones(dof):
+    of = chi2(dof)
+    for share in (0.001, 0.025, 0.4):
+        # sigmas that are 1.2 times too small make chi2 1.2² times as large, 1.5 times too large 1.5² as small
+        assert p_residuals(1.44 * of.isf(share), dof, 1.2, 1.5) == pytest.approx(2.0 * share)
+        assert p_residuals(of.ppf(share) / 2.25, dof, 1.2, 1.5) == pytest.approx(2.0 * share)
+        plain = [p_residuals(end, dof) for end in (of.isf(share), of.ppf(share))]
+        assert plain == pytest.approx([2.0 * share] * 2)
+    assert p_residuals(of.median(), dof, 1.2, 1.5) == 1.0 and np.isnan(p_residuals(1.0, 0))
 
 
 def test_consistent_campaigns_are_consistent_and_their_p_values_uniform():
