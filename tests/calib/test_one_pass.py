@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -305,3 +306,27 @@ def displaced(strip: StripSightings, by_o: Floats) -> StripSightings:
 def test_an_orbit_error_that_lasts_over_strips_is_honest_where_its_time_is_stated() -> None:
     assert_chi_square(nees(replace(MODEL, position_time_s=300.0), 300.0, 40), 3)
     assert sum(nees(MODEL, 300.0, 40)) > chi2(df=3 * 40).ppf(0.9995)  # four strips, taken to have four errors
+
+
+@pytest.mark.parametrize("mirrored", [1.0, -1.0])  # whichever was first
+@pytest.mark.parametrize(
+    ("one", "other", "apart_s"),
+    [
+        # exposures, and half as long a gap again is of one pass: three quarters of each one's longest step
+        ([0.0, 0.2, 0.4], [0.0, 0.2, 0.4], 0.3),
+        ([0.0, 1.0, 1.5, 3.5], [0.0, 0.4], 1.8),
+        ([0.0, 0.4], [0.0, 1.0, 1.5, 3.5], 1.8),
+        ([0.0, 0.4], [7.0], 0.8),  # of one exposure alone half a second
+    ],
+)
+def test_strips_whose_exposures_go_on_are_of_one_pass_whatever_their_order(one, other, apart_s, mirrored):
+    def strip(name, t_s):
+        t_s = np.sort(mirrored * np.array(t_s))
+        ground = SimpleNamespace(t_s=t_s)
+        return SimpleNamespace(strip_id=name, times_s=t_s, exposures=t_s.tolist(), carrier="", ground=ground)
+
+    for gap_s, passes in ((apart_s - 1e-6, 1), (apart_s + 1e-6, 2), (-0.3, 1)):
+        late = np.array(other) - other[0] + one[-1] + gap_s
+        for names in ("ab", "ba"):
+            groups = groups_of([strip(names[0], one), strip(names[1], late)])
+            assert len(groups) == passes and sum(map(len, groups)) == 2
