@@ -13,13 +13,13 @@ from scipy.stats import chi2
 
 from boresight.calib.calibration import calibrate_strips
 from boresight.calib.estimate import InstallationEstimate
-from boresight.calib.heads import measured_alignment
+from boresight.calib.heads import carried, measured_alignment
 from boresight.calib.settings import CalibrationSettings
 from boresight.calib.verdict import assess
 from boresight.geometry.attitude_noise import AttitudeNoise
 from boresight.geometry.constants import ARCSEC
 from boresight.geometry.installation import theta_between
-from boresight.geometry.sightings import StripSightings
+from boresight.geometry.sightings import HeadAttitudes, StripSightings
 from boresight.simulator.campaign import CameraPair, StripPlan, draw_strips
 
 R_A = Rotation.from_euler("xyz", [40.0, -65.0, 110.0], degrees=True)
@@ -238,6 +238,32 @@ def three_heads(seed: int) -> list[StripSightings]:
     ]
     drawn = seen_by(plans, FEW, np.random.default_rng(seed))
     return blinded(drawn, {drawn[1].strip_id}, set())
+
+
+def test_a_blind_strip_is_carried_by_the_head_that_spans_most_of_its_targets() -> None:
+    blind = three_heads(1)[1]
+    assert not blind.exposures
+    by_name = {one.head: one for one in blind.others}
+    t_s = np.sort(blind.ground.t_s)
+
+    def of(head: str, first_s: float, last_s: float) -> HeadAttitudes:
+        """Attitudes that begin and end a hundredth of a second beyond two of the targets."""
+        times = np.array([first_s - 0.01, 0.5 * (first_s + last_s), last_s + 0.01])
+        return replace(by_name[head].take(np.arange(3)), t_s=times)
+
+    for b, c, expected in (
+        ((1, -1), (0, -1), "C"),  # one target more at the begin
+        ((0, -1), (0, -2), "B"),  # ... at the end
+        ((2, -1), (0, -3), "B"),  # as many: the first by name
+        ((3, -4), (1, -2), "C"),
+    ):
+        heads = [of(name, t_s[n], t_s[m]) for name, (n, m) in (("B", b), ("C", c))]
+        for others in (heads, heads[::-1]):
+            found = carried(replace(blind, others=tuple(others)))
+            assert found.carrier == expected and len(found.exposures) == 3
+            assert [one.head for one in found.others] == [{"B": "C", "C": "B"}[expected]]
+    one_row = by_name["B"].take(np.array([0]))  # an attitude alone spans nothing
+    assert carried(replace(blind, others=(one_row, of("C", t_s[4], t_s[5])))).carrier == "C"
 
 
 def test_three_heads_are_tied_by_the_one_that_carries_a_strip() -> None:
