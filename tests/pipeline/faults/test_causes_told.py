@@ -25,6 +25,7 @@ from scipy.spatial.transform import Rotation
 from boresight.calib.finding import MOST_WORDS
 from boresight.calib.reliability import blind_spots
 from boresight.calib.verdict import Outcome
+from boresight.geometry.installation import theta_between
 from boresight.pipeline.calibration.calibrate import DumpCalibration, calibrate_dump
 from boresight.pipeline.errors import DataNotSufficientError, RawDataError
 from boresight.pipeline.files.dump import open_dump
@@ -461,10 +462,28 @@ def test_points_that_scatter_more_than_stated_are_one_finding_about_their_noise(
 
         edited(POINTS, edit, dump)
 
-    (first,) = [one for one in told(scattered).verdict.findings if one.is_fault]
+    wrong = told(scattered)
+    (first,) = [one for one in wrong.verdict.findings if one.is_fault]
     assert (first.cause, first.item) == ("noise of the image points or coordinates", item)
     assert 3.0 < first.value < 9.0  # times the stated of image, survey and vibration together
     assert first.refutes or item != "all strips"  # then the matrix is less certain than stated
+
+    def stated(dump: Path) -> None:
+        """Errors of the image points that are as many times larger as the finding says."""
+        scattered(dump)
+
+        def edit(row: Row) -> None:
+            for column in ("sigma_sample_px", "sigma_line_px"):
+                if row["strip"] in strips:
+                    row[column] = repr(first.value * float(row[column]))
+
+        edited(POINTS, edit, dump)
+
+    better = told(stated)
+    assert not better.verdict.findings
+    moved = theta_between(better.estimate.R_cs, wrong.estimate.R_cs)
+    # to a tenth: the finding has all parts of the errors larger, the survey's and the vibration's, too
+    assert np.all(np.abs(first.effect_rad + moved) < 0.1 * np.abs(moved) + 0.15 * wrong.estimate.sigma_theta)
 
 
 def test_sizes_of_single_points_scatter_by_their_sigma(told, sound):
