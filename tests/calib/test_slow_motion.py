@@ -53,7 +53,7 @@ def test_exposures_show_how_far_the_satellite_moves(arcsec: float) -> None:
 
 
 def test_the_motion_is_the_mean_over_the_posterior_of_the_plain_normal_distribution() -> None:
-    """Of the rotations about all axes at once, constant and rate integrated out, for every noise, size and time;
+    """Of rotations about all axes at once, constant and rate integrated out, for every noise, size and time;
     the errors of attitudes are lopsided and turned, another way in each strip.
     """
     rng, strips, C = np.random.default_rng(8), strips_of(7, wave_rad=(20.0 * ARCSEC, 30.0 * ARCSEC)), []
