@@ -45,7 +45,7 @@ def test_coordinates_are_known_in_axes_that_turn_with_the_earth_and_directions_a
     cov = root @ np.swapaxes(root, 1, 2)
     u_i = Rotation.random(3, rng=rng).apply([0.0, 0.0, 1.0])
     ground = coordinate_covariance(cov, t_s, u_i, np.zeros(3, dtype=bool))
-    z = Rotation.from_euler("z", [0.0, 90.0, 30.0], degrees=True).as_matrix()
+    z = Rotation.from_euler("z", [[0.0], [90.0], [30.0]], degrees=True).as_matrix()
     np.testing.assert_allclose(earth_axes(t_s), z, atol=2e-8)  # rad: a rate of seven digits
     for n in range(3):
         np.testing.assert_allclose(ground[n], z[n].T @ cov[n] @ z[n], atol=1e-6)
